@@ -1,0 +1,1 @@
+"""What the robot does by itself: planar and spatial dynamics, equilibria and their stability."""

@@ -1,0 +1,86 @@
+"""Standing on the slope: equations (2)-(4), the two equilibria and how stable they are.
+
+On a slope gamma the pendulum must hold the weight of the whole robot: (m + m_i + m_p) r sin(gamma) = m_p l sin(phi_0). Below
+the bound (4) there are two such swings, phi_0 and pi - phi_0; at the bound they merge and vanish in a saddle-node
+bifurcation, and beyond it the pendulum whirls. (The paper calls it a bifurcation of stable nodes.)
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from jaxsphere.models import planar
+from jaxsphere.robot import Robot
+
+
+class Equilibria(NamedTuple):
+    """Both equilibrium swings (rad) and whether they exist; where they do not, both are at the merging point."""
+
+    lower: Array  # phi_0, pendulum below the horizontal
+    upper: Array  # pi - phi_0 (or -pi - phi_0 on a falling slope)
+    exists: Array  # bool
+
+
+def swing_sine(robot: Robot, slope: ArrayLike) -> Array:
+    """Sine of the equilibrium swing that balances the weight of the robot, Eq. (2); above 1 no swing does."""
+    lumped = planar.lump(robot, slope)
+    return lumped.slope_torque / lumped.pendulum_weight
+
+
+def equilibrium_swing(robot: Robot, slope: ArrayLike) -> Array:
+    """Equilibrium swing phi_0 in rad, from the vertical, Eq. (3).
+
+    Past the bound (4) no equilibrium exists; the result is then the nearest lean, +-pi/2, with a zero gradient, and never
+    NaN. `can_hold` tells the two cases apart.
+    """
+    sine = swing_sine(robot, slope)
+    exists = jnp.abs(sine) < 1.0
+    return jnp.where(exists, jnp.arcsin(jnp.where(exists, sine, 0.0)), 0.5 * jnp.pi * jnp.sign(sine))
+
+
+def climbing_bound(robot: Robot) -> Array:
+    """Steepest slope, rad, that the pendulum can hold statically, Eq. (4); pi/2 where every slope can be held."""
+    sine = robot.pendulum_mass * robot.pendulum_length / (planar.total_mass(robot) * robot.shell_radius)
+    bounded = sine < 1.0
+    return jnp.where(bounded, jnp.arcsin(jnp.where(bounded, sine, 0.0)), 0.5 * jnp.pi)
+
+
+def can_hold(robot: Robot, slope: ArrayLike) -> Array:
+    """Tell (bool) whether the slope (rad) is within the bound (4)."""
+    return jnp.abs(swing_sine(robot, slope)) <= 1.0
+
+
+def equilibria(robot: Robot, slope: ArrayLike) -> Equilibria:
+    """Return both equilibrium swings of the robot held on the slope; they merge at the bound (4), a saddle-node."""
+    lower = equilibrium_swing(robot, slope)
+    side = jnp.where(lower < 0.0, -1.0, 1.0)
+    return Equilibria(lower, side * jnp.pi - lower, can_hold(robot, slope))
+
+
+def zero_dynamics_poles(robot: Robot, slope: ArrayLike, swing: ArrayLike | None = None) -> Array:
+    """Poles (1/s, complex, (2,)) of the swing when the torque holds the sphere angle fixed.
+
+    With alpha'' = 0 the motion left is (M12 - M22) phi'' = N2 - N1. A pole in the right half plane means that the sphere
+    angle is a non-minimum-phase output: no controller that prescribes alpha exactly is internally stable.
+
+    Args:
+        robot: the robot. slope: rad. swing: equilibrium to linearise at, rad; phi_0 of (3) by default.
+    """
+    lumped = planar.lump(robot, slope)
+    if swing is None:
+        swing = equilibrium_swing(robot, slope)
+
+    def swing_acceleration(angle: Array, rate: Array) -> Array:
+        state = (jnp.zeros_like(angle), jnp.zeros_like(angle), angle, rate)
+        _, m12, m22 = planar.inertia(lumped, state)
+        n1, n2 = planar.bias(lumped, state)
+        return (n2 - n1) / (m12 - m22)
+
+    stiffness, damping = jax.jacfwd(swing_acceleration, (0, 1))(jnp.asarray(swing), jnp.zeros_like(swing))
+    root = jnp.sqrt((0.25 * damping**2 + stiffness).astype(jnp.result_type(stiffness, jnp.complex64)))
+    return jnp.stack([0.5 * damping - root, 0.5 * damping + root])

@@ -1,0 +1,161 @@
+"""Planar robot on a slope: equations (1), (5) and (60).
+
+    alpha   sphere angle, rad; the centre of the sphere has rolled up-slope by r alpha
+    phi     swing of the pendulum, rad, from the vertical, positive up-slope
+    gamma   slope, rad, positive when the up-slope direction is alpha > 0
+    tau     motor torque, N m, between shell and pendulum; its power is tau (alpha' + phi') because both angles count
+            positive in opposite senses of rotation
+
+A state is (alpha, alpha', phi, phi'), as an array (4,) or any sequence of four equally shaped arrays: physics is written on
+components, so that under `vmap` each component is one array of lanes. `lump` gathers the constants of one robot on one slope;
+the functions that take a `Lumped` are what a rollout evaluates, the ones that take `(robot, slope, ...)` are for people.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from jaxsphere.numerics import sincos
+from jaxsphere.robot import Robot
+
+STATE_NAMES = ("alpha", "alpha_rate", "swing", "swing_rate")
+STATE_UNITS = ("rad", "rad/s", "rad", "rad/s")
+IS_VELOCITY = (False, True, False, True)
+
+# Motor torque on (alpha, phi): the relative angle is alpha + phi.
+INPUT = (1.0, 1.0)
+
+State = Sequence[Array] | Array
+
+
+class Lumped(NamedTuple):
+    """Constants of (1) for one robot on one slope; every entry a scalar."""
+
+    rolling_inertia: Array  # M11 = (m + m_i + m_p) r^2 + I_s, kg m2
+    pendulum_inertia: Array  # M22 = m_p l^2 + I_i, kg m2
+    coupling: Array  # m_p r l, kg m2
+    slope_torque: Array  # (m + m_i + m_p) g r sin(gamma), N m
+    pendulum_weight: Array  # m_p g l, N m
+    sin_slope: Array
+    cos_slope: Array
+
+
+class Canonical(NamedTuple):
+    """Drift and input gain of the two accelerations: alpha'' = f1 + b1 tau, phi'' = f2 + b2 tau."""
+
+    f1: Array
+    b1: Array
+    f2: Array
+    b2: Array
+
+
+def lump(robot: Robot, slope: ArrayLike) -> Lumped:
+    """Gather the constants of the planar equations for `robot` on a `slope` (rad)."""
+    total = total_mass(robot)
+    sin_slope, cos_slope = jnp.sin(slope), jnp.cos(slope)
+    radius, length, gravity = robot.shell_radius, robot.pendulum_length, robot.gravity
+    return Lumped(
+        rolling_inertia=total * radius**2 + robot.shell_inertia[2],
+        pendulum_inertia=robot.pendulum_mass * length**2 + robot.gimbal_inertia[2],
+        coupling=robot.pendulum_mass * radius * length,
+        slope_torque=total * gravity * radius * sin_slope,
+        pendulum_weight=robot.pendulum_mass * gravity * length,
+        sin_slope=sin_slope,
+        cos_slope=cos_slope,
+    )
+
+
+def total_mass(robot: Robot) -> ArrayLike:
+    """Mass of shell, gimbal and pendulum, kg."""
+    return robot.shell_mass + robot.gimbal_mass + robot.pendulum_mass
+
+
+def inertia(lumped: Lumped, state: State) -> tuple[Array, Array, Array]:
+    """Entries (M11, M12, M22) of the symmetric inertia matrix, kg m2."""
+    _, _, swing, _ = state
+    sin_swing, cos_swing = sincos(swing)
+    cos_relative = cos_swing * lumped.cos_slope + sin_swing * lumped.sin_slope
+    return lumped.rolling_inertia, lumped.coupling * cos_relative, lumped.pendulum_inertia
+
+
+def bias(lumped: Lumped, state: State) -> tuple[Array, Array]:
+    """Entries (N1, N2) of the centrifugal and gravity torques, N m."""
+    _, _, swing, swing_rate = state
+    sin_swing, cos_swing = sincos(swing)
+    sin_relative = sin_swing * lumped.cos_slope - cos_swing * lumped.sin_slope
+    centrifugal = lumped.coupling * sin_relative * swing_rate**2
+    return lumped.slope_torque - centrifugal, lumped.pendulum_weight * sin_swing
+
+
+def canonical_form(lumped: Lumped, state: State) -> Canonical:
+    """Solve the dynamics for both accelerations, affine in the torque: [f1, f2] = -M^-1 N and [b1, b2] = M^-1 B, Eq. (60).
+
+    This is the form (5) that the sliding-mode controller is designed on.
+    """
+    m11, m12, m22 = inertia(lumped, state)
+    n1, n2 = bias(lumped, state)
+    inverse_determinant = 1.0 / (m11 * m22 - m12 * m12)
+    return Canonical(
+        f1=(m12 * n2 - m22 * n1) * inverse_determinant,
+        b1=(m22 * INPUT[0] - m12 * INPUT[1]) * inverse_determinant,
+        f2=(m12 * n1 - m11 * n2) * inverse_determinant,
+        b2=(m11 * INPUT[1] - m12 * INPUT[0]) * inverse_determinant,
+    )
+
+
+def derivative(lumped: Lumped, state: State, torque: Sequence[Array]) -> tuple[Array, Array, Array, Array]:
+    """Time derivative of the state under the motor torque, by components: the two subsystems A and B, Eq. (5)."""
+    _, alpha_rate, _, swing_rate = state
+    (tau,) = torque
+    f1, b1, f2, b2 = canonical_form(lumped, state)
+    return alpha_rate, f1 + b1 * tau, swing_rate, f2 + b2 * tau
+
+
+def acceleration(robot: Robot, slope: ArrayLike, state: ArrayLike, torque: ArrayLike) -> Array:
+    """Accelerations (alpha'', phi'') from M(q) q'' + N(q, q') = B tau, Eq. (1).
+
+    Args:
+        robot: the robot. slope: rad. state: (4,) = alpha, alpha', phi, phi' in rad and rad/s. torque: (), N m.
+
+    Returns:
+        (2,), rad/s2.
+    """
+    state = jnp.asarray(state)
+    if state.shape != (4,):
+        raise ValueError(f"state has shape {state.shape}; type 4 numbers: alpha, alpha', phi, phi' (or use jax.vmap)")
+    if jnp.ndim(torque):
+        raise ValueError(f"torque has shape {jnp.shape(torque)}; type one number in N m (or use jax.vmap)")
+    _, alpha_acceleration, _, swing_acceleration = derivative(lump(robot, slope), tuple(state), (jnp.asarray(torque),))
+    return jnp.stack([alpha_acceleration, swing_acceleration])
+
+
+def mass_matrix(robot: Robot, slope: ArrayLike, state: ArrayLike) -> Array:
+    """Inertia matrix M(q), (2, 2), kg m2."""
+    m11, m12, m22 = inertia(lump(robot, slope), tuple(jnp.asarray(state)))
+    return jnp.array([[m11, m12], [m12, m22]])
+
+
+def kinetic_energy(robot: Robot, slope: ArrayLike, state: ArrayLike) -> Array:
+    """Kinetic energy q'^T M q' / 2, J."""
+    _, alpha_rate, _, swing_rate = state
+    m11, m12, m22 = inertia(lump(robot, slope), state)
+    return 0.5 * (m11 * alpha_rate**2 + 2.0 * m12 * alpha_rate * swing_rate + m22 * swing_rate**2)
+
+
+def potential_energy(robot: Robot, slope: ArrayLike, state: ArrayLike) -> Array:
+    """Potential energy, J, zero at alpha = 0 with the pendulum at a right angle."""
+    alpha, _, swing, _ = state
+    lumped = lump(robot, slope)
+    return lumped.slope_torque * alpha - lumped.pendulum_weight * sincos(swing)[1]
+
+
+def power(state: State, torque: Sequence[Array]) -> Array:
+    """Mechanical power of the motor, tau (alpha' + phi'), W."""
+    _, alpha_rate, _, swing_rate = state
+    (tau,) = torque
+    return tau * (INPUT[0] * alpha_rate + INPUT[1] * swing_rate)

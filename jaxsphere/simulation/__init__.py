@@ -1,0 +1,1 @@
+"""Rollouts of any plant under any law: integrators, the closed loop, metrics, lanes over devices."""

@@ -1,0 +1,87 @@
+"""The host's side of a rollout: settings checked before it, early ends reported after it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from jaxsphere.checks import is_concrete, require_scalar
+from jaxsphere.command import Status
+from jaxsphere.simulation.rollout import Trajectory
+
+_ADVICE = {
+    Status.WHIRLING: "the pendulum went over the top; lower z_u or the slope",
+    Status.DIVERGED: "the robot rolled away; check the sign convention, the gains and the torque limit",
+    Status.SINGULAR_DECOUPLING: "the controller divides by zero; make nonsingularity_margin positive by lowering z_u * c2 / phi_z",
+    Status.SINGULAR_COORDINATES: "the lean reached 0 or pi, where the angles are singular; lower the demand",
+    Status.INFEASIBLE_LEAN: "no swing of the pendulum balances the demand; lower the slope or the demand",
+    Status.NONFINITE: "the next state is not finite; lower dt",
+}
+
+
+class RolloutError(RuntimeError):
+    """A single rollout ended early; `trajectory` holds what it did until then."""
+
+    def __init__(self, message: str, trajectory: Trajectory):
+        super().__init__(message)
+        self.trajectory = trajectory
+
+
+def raise_early_end(trajectory: Trajectory) -> Trajectory:
+    """Raise RolloutError if a single rollout on the host ended early; pass batches and traced rollouts on."""
+    status = trajectory.status
+    if is_concrete(status) and jnp.ndim(status) == 0 and int(status) in _ADVICE:
+        ended = Status(int(status))
+        raise RolloutError(
+            f"the rollout ended at {float(trajectory.end_time):.3f} s with status {ended.name.lower()}: {_ADVICE[ended]}, or type "
+            "throw=False to get the trajectory up to there",
+            trajectory,
+        )
+    return trajectory
+
+
+def check_time_grid(duration: float, dt: ArrayLike, save_every: int | None) -> int:
+    """Return the number of steps. Raises ValueError unless duration, dt and save_every divide evenly and are positive."""
+    if not is_concrete(duration):
+        raise ValueError("duration is traced; type a plain number, it fixes the length of the compiled loop")
+    require_scalar("duration", duration, above=0.0, unit="s")
+    if not is_concrete(dt):
+        raise ValueError("dt is traced; type a plain number, with duration it fixes the length of the compiled loop")
+    require_scalar("dt", dt, above=0.0, unit="s")
+    if float(dt) > float(duration):
+        raise ValueError(f"dt = {float(dt):g} s exceeds duration = {float(duration):g} s; type a smaller dt, e.g. 1e-3")
+    steps = _whole_multiple("duration", float(duration), float(dt))
+    if save_every is not None and not (
+        isinstance(save_every, int | np.integer) and save_every >= 1 and steps % save_every == 0
+    ):
+        raise ValueError(f"save_every = {save_every!r} must be None or a whole number that divides the {steps} steps")
+    return steps
+
+
+def check_control_period(period: float | None, dt: ArrayLike) -> np.ndarray | None:
+    """Return the zero-order hold in steps, None for continuous control. Raises ValueError unless it is a multiple of dt."""
+    if period is None:
+        return None
+    require_scalar("control_period", period, above=0.0, unit="s")
+    return np.asarray(_whole_multiple("control_period", float(period), float(dt)), np.int32)
+
+
+def _whole_multiple(name: str, value: float, dt: float) -> int:
+    count = round(value / dt)
+    if count < 1 or abs(count * dt - value) > 1e-6 * dt * max(count, 1):
+        raise ValueError(f"{name} = {value:g} s is no whole multiple of dt = {dt:g} s; type e.g. {max(count, 1) * dt:g}")
+    return count
+
+
+def cast(tree: Any, dtype: Any) -> Any:
+    """Return `tree` with every leaf as an array of `dtype`, so that a changed number never compiles anew."""
+    return jax.tree.map(lambda leaf: _as_array(leaf, dtype), tree)
+
+
+def _as_array(leaf: Any, dtype: Any) -> Array | np.ndarray:
+    return np.asarray(leaf, dtype) if is_concrete(leaf) else jnp.asarray(leaf, dtype)

@@ -1,0 +1,60 @@
+"""Figures of merit of a regulation task, updated at every step of a rollout, whatever the rollout saves."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxsphere.simulation.rollout import Measure, State
+
+SETTLING_BAND = 0.02  # of the travel
+
+
+class RegulationMetrics(NamedTuple):
+    """How a move from rest to rest went; every entry a scalar per lane."""
+
+    settling_time: Array  # s, from when on |e| <= 2 % of the travel; infinite if it never stays there
+    overshoot: Array  # of the travel, beyond the target
+    final_error: Array  # e at the end, rad
+    peak_swing: Array  # largest |phi - phi_0|, rad
+    lowest_swing: Array  # rad
+    highest_swing: Array  # rad
+    peak_torque: Array  # N m
+    effort: Array  # integral of tau^2, (N m)^2 s
+    chatter: Array  # total variation of the torque, N m
+    tracking: Array  # integral of t |e| / travel, s^2
+
+
+class _Running(NamedTuple):
+    so_far: RegulationMetrics
+    last_torque: Array
+
+
+def regulation(target: Array, travel: Array, equilibrium: Array) -> Measure:
+    """Measure of a move by `travel` (rad) to `target` (rad) for states (alpha, alpha', phi, phi')."""
+    zero = jnp.zeros_like(target)
+    nothing = RegulationMetrics(zero, zero, zero, zero, zero + jnp.inf, zero - jnp.inf, zero, zero, zero, zero)
+
+    def update(running: _Running, time: Array, state: State, torque: State, dt: Array) -> _Running:
+        alpha, _, swing, _ = state
+        (tau,) = torque
+        last, error = running.so_far, alpha - target
+        outside = jnp.abs(error) > SETTLING_BAND * jnp.abs(travel)
+        variation = jnp.where(time > 0.0, jnp.abs(tau - running.last_torque), 0.0)
+        now = RegulationMetrics(
+            settling_time=jnp.where(outside, jnp.where(dt > 0.0, time + dt, jnp.inf), last.settling_time),
+            overshoot=jnp.maximum(last.overshoot, error / travel),
+            final_error=error,
+            peak_swing=jnp.maximum(last.peak_swing, jnp.abs(swing - equilibrium)),
+            lowest_swing=jnp.minimum(last.lowest_swing, swing),
+            highest_swing=jnp.maximum(last.highest_swing, swing),
+            peak_torque=jnp.maximum(last.peak_torque, jnp.abs(tau)),
+            effort=last.effort + dt * tau * tau,
+            chatter=last.chatter + variation,
+            tracking=last.tracking + dt * time * jnp.abs(error / travel),
+        )
+        return _Running(now, tau)
+
+    return Measure(_Running(nothing, zero), update, lambda running: running.so_far)

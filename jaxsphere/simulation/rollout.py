@@ -1,0 +1,173 @@
+"""Closed loop of any plant and any law under `lax.scan`, with a status per lane.
+
+    x       physical state of the plant, a tuple of components
+    memory  states of the law, integrated with the plant's
+    lane    one rollout of a batch; `jax.vmap` makes every component an array of lanes
+
+A lane that ends early (`Status`) keeps its last finite state to the end: nothing raises, nothing becomes NaN.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxsphere.command import Command, Status, code
+from jaxsphere.simulation.integrators import stepper
+
+State = tuple[Array, ...]
+Law = Callable[[Array, State, State], Command]
+
+
+class Plant(NamedTuple):
+    """What a rollout needs to know of a robot."""
+
+    derivative: Callable[[State, State], State]  # (state, torque) -> rate
+    status: Callable[[State], Array]  # state -> Status code
+    is_velocity: tuple[bool, ...]
+
+
+class Measure(NamedTuple):
+    """A running metric: update(value, time, state, torque, dt) at every step, finish(value) once at the end."""
+
+    initial: Any
+    update: Callable[[Any, Array, State, State, Array], Any]
+    finish: Callable[[Any], Any]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """What a rollout returns; under `jax.vmap` every leaf gets a leading axis of lanes.
+
+    time (T,), s. state (T, n). torque (T, m), N m, the one applied from that time on. memory (T, p), states of the law.
+    status (), a Status code. end_time (), s, when the lane ended. metrics, diagnostics: named numbers of the task, or None.
+    """
+
+    time: Array
+    state: Array
+    torque: Array
+    memory: Array
+    status: Array
+    end_time: Array
+    metrics: Any = None
+    diagnostics: Any = None
+
+
+class _Loop(NamedTuple):
+    x: State
+    memory: State
+    held: Command | None
+    status: Array
+    end_time: Array
+    measured: Any
+
+
+def rollout(
+    plant: Plant,
+    law: Law,
+    state: State,
+    memory: State = (),
+    *,
+    dt: Array,
+    steps: int,
+    save_every: int | None = 1,
+    hold: Array | None = None,
+    torque_limit: Array | None = None,
+    measure: Measure | None = None,
+    method: str = "rk4",
+) -> Trajectory:
+    """Roll the closed loop out for `steps` steps of `dt` seconds.
+
+    Args:
+        plant, law: the robot and its controller. state, memory: their initial components.
+        save_every: keep every so many steps (a divisor of `steps`), or None to keep the first and last only.
+        hold: zero-order hold of the command, in steps; None evaluates the law continuously, in every stage.
+        torque_limit: each torque is clipped to +-this, N m. measure: a running metric, updated at every step.
+        method: one of `integrators.METHODS`.
+    """
+    step = stepper(method, plant.is_velocity + (True,) * len(memory))
+    block = math.isqrt(max(steps - 1, 0)) + 1 if save_every is None else save_every
+    blocks = -(-steps // block)
+
+    def command(time: Array, x: State, memory: State) -> Command:
+        now = law(time, x, memory)
+        if torque_limit is None:
+            return now
+        return now._replace(torque=tuple(jnp.clip(u, -torque_limit, torque_limit) for u in now.torque))
+
+    def advance(loop: _Loop, index: Array) -> tuple[_Loop, State]:
+        time = index * dt
+        held = loop.held
+        if hold is not None:
+            held = _where(index % hold == 0, command(time, loop.x, loop.memory), loop.held)
+
+        def field(time: Array, y: State) -> tuple[State, Command]:
+            x, memory = y[: len(state)], y[len(state) :]
+            now = command(time, x, memory) if held is None else held
+            return (*plant.derivative(x, now.torque), *now.memory_rate), now
+
+        y = loop.x + loop.memory
+        ahead, now = step(field, time, y, dt)
+        finite = jnp.isfinite(sum(ahead[1:], ahead[0]))
+        defined = now.status == Status.OK
+        running = (loop.status == Status.OK) & (index < steps)
+        moves = running & finite & defined
+        fate = jnp.where(finite, plant.status(ahead[: len(state)]), code(Status.NONFINITE))
+        fate = jnp.where(defined, fate, now.status)
+        y = _where(moves, ahead, y)
+        measured = loop.measured
+        if measure is not None:
+            measured = _where(running, measure.update(measured, time, loop.x, now.torque, dt), measured)
+        end_time = jnp.where(running, jnp.where(moves, time + dt, time), loop.end_time)
+        status = jnp.where(running, fate, loop.status)
+        torque = _where(running & defined, now.torque, tuple(jnp.zeros_like(u) for u in now.torque))
+        return _Loop(y[: len(state)], y[len(state) :], held, status, end_time, measured), torque
+
+    def sample(loop: _Loop, index: Array) -> tuple[_Loop, tuple[State, State, State] | None]:
+        after, torques = jax.lax.scan(advance, loop, index * block + jnp.arange(block))
+        return after, None if save_every is None else (loop.x, loop.memory, tuple(u[0] for u in torques))
+
+    start = command(jnp.zeros_like(dt), state, memory)
+    zero = jnp.zeros_like(state[0])
+    loop = _Loop(
+        x=state,
+        memory=memory,
+        held=None if hold is None else start,
+        status=jnp.zeros_like(start.status),
+        end_time=zero,
+        measured=None if measure is None else measure.initial,
+    )
+    # Without the checkpoint reverse mode would store every intermediate of every step.
+    loop, saved = jax.lax.scan(jax.checkpoint(sample, prevent_cse=False), loop, jnp.arange(blocks))
+
+    duration = steps * dt
+    last = loop.held or command(duration, loop.x, loop.memory)
+    last_torque = _where(loop.status == Status.OK, last.torque, tuple(jnp.zeros_like(u) for u in last.torque))
+    if save_every is None:
+        saved = jax.tree.map(lambda leaf: leaf[None], (state, memory, start.torque))
+    x, memory, torque = jax.tree.map(
+        lambda before, end: jnp.concatenate([before, end[None]]), saved, (loop.x, loop.memory, last_torque)
+    )
+    metrics = None
+    if measure is not None:
+        metrics = measure.finish(measure.update(loop.measured, duration, loop.x, last_torque, zero))
+    return Trajectory(
+        time=jnp.linspace(zero, duration, len(x[0])),
+        state=jnp.stack(x, -1),
+        torque=jnp.stack(torque, -1),
+        memory=jnp.stack(memory, -1) if memory else jnp.zeros((len(x[0]), 0), zero.dtype),
+        status=loop.status,
+        end_time=jnp.where(loop.status == Status.OK, duration, loop.end_time),
+        metrics=metrics,
+    )
+
+
+def _where(condition: Array, yes: Any, no: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
