@@ -13,15 +13,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
-from jax.typing import ArrayLike
+from jax import Array
 
 from jaxsphere.checks import is_concrete, require_scalar
+from jaxsphere.numerics import Real
 
 
-def _moments(*values: float) -> Callable[[], np.ndarray]:
+def _moments(*values: float) -> Callable[[], Any]:
     return partial(np.array, values, dtype=np.float64)
 
 
@@ -35,14 +37,14 @@ class Robot:
     gives one shell and one gimbal moment; the other two of each are taken equal here, an assumption of this package.
     """
 
-    shell_mass: ArrayLike = 1.2
-    gimbal_mass: ArrayLike = 1.85
-    pendulum_mass: ArrayLike = 2.05
-    shell_inertia: ArrayLike = field(default_factory=_moments(0.018, 0.018, 0.018))
-    gimbal_inertia: ArrayLike = field(default_factory=_moments(0.0017, 0.0017, 0.0017))
-    pendulum_length: ArrayLike = 0.12
-    shell_radius: ArrayLike = 0.15
-    gravity: ArrayLike = 9.81
+    shell_mass: Real = 1.2
+    gimbal_mass: Real = 1.85
+    pendulum_mass: Real = 2.05
+    shell_inertia: Array = field(default_factory=_moments(0.018, 0.018, 0.018))
+    gimbal_inertia: Array = field(default_factory=_moments(0.0017, 0.0017, 0.0017))
+    pendulum_length: Real = 0.12
+    shell_radius: Real = 0.15
+    gravity: Real = 9.81
 
 
 def set_a() -> Robot:
@@ -60,8 +62,8 @@ def roboball_ii() -> Robot:
         shell_mass=16.536,
         gimbal_mass=2.779,
         pendulum_mass=22.03,
-        shell_inertia=np.array([1.04, 1.04, 0.641]),
-        gimbal_inertia=np.array([0.0184, 0.0184, 0.0075]),
+        shell_inertia=_moments(1.04, 1.04, 0.641)(),
+        gimbal_inertia=_moments(0.0184, 0.0184, 0.0075)(),
         pendulum_length=0.095,
         shell_radius=0.3175,
     )
@@ -77,8 +79,8 @@ def rotunbot() -> Robot:
         shell_mass=27.83,
         gimbal_mass=20.41,
         pendulum_mass=82.8,
-        shell_inertia=np.array([2.36, 2.36, 1.88]),
-        gimbal_inertia=np.array([0.80, 0.97, 0.47]),
+        shell_inertia=_moments(2.36, 2.36, 1.88)(),
+        gimbal_inertia=_moments(0.80, 0.97, 0.47)(),
         pendulum_length=0.270,
         shell_radius=0.4,
     )
@@ -125,7 +127,7 @@ def check_robot(robot: Robot, name: str = "robot") -> Robot:
     return robot
 
 
-def _check_moments(name: str, value: ArrayLike, zero_allowed: bool) -> None:
+def _check_moments(name: str, value: Real, zero_allowed: bool) -> None:
     moments = np.asarray(value, dtype=np.float64)
     bound = "finite and not negative" if zero_allowed else "finite and positive"
     if moments.shape != (3,):

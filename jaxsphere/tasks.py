@@ -10,13 +10,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 
 from jaxsphere.checks import is_concrete, require_choice, require_finite_vector, require_scalar
 from jaxsphere.command import Status, code
 from jaxsphere.controllers import sliding_mode
 from jaxsphere.controllers.sliding_mode import SlidingModeGains
 from jaxsphere.models import climbing, planar
+from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot, check_robot
 from jaxsphere.simulation import metrics
 from jaxsphere.simulation.host import cast, check_control_period, check_time_grid, raise_early_end
@@ -26,16 +26,16 @@ from jaxsphere.simulation.rollout import Plant, Trajectory, rollout
 
 def rest_to_rest(
     robot: Robot,
-    slope: ArrayLike,
+    slope: Real,
     gains: SlidingModeGains | None = None,
-    travel: ArrayLike = 10.0,
+    travel: Real = 10.0,
     duration: float = 30.0,
-    dt: ArrayLike = 1e-3,
-    smoothing: ArrayLike = 0.02,
-    torque_limit: ArrayLike | None = None,
+    dt: Real = 1e-3,
+    smoothing: Real = 0.02,
+    torque_limit: Real | None = None,
     *,
     plant: Robot | None = None,
-    initial_state: ArrayLike | None = None,
+    initial_state: Real | None = None,
     control_period: float | None = None,
     convention: str = "corrected",
     method: str = "rk4",
@@ -155,7 +155,7 @@ def planar_plant(robot: Robot, slope: Array, start: Array, travel: Array) -> Pla
     return Plant(partial(planar.derivative, lumped), status, planar.IS_VELOCITY)
 
 
-def _require_holdable(robot: Robot, slope: ArrayLike, name: str = "robot") -> None:
+def _require_holdable(robot: Robot, slope: Real, name: str = "robot") -> None:
     if is_concrete((robot, slope)) and not climbing.can_hold(robot, slope):
         bound = float(climbing.climbing_bound(robot))
         raise ValueError(

@@ -24,11 +24,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 
 from jaxsphere.checks import require_choice, require_scalar
 from jaxsphere.command import Command, Status, code
 from jaxsphere.models import climbing, planar
+from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot
 
 CONVENTIONS = ("corrected", "printed")
@@ -46,13 +46,13 @@ class SlidingModeGains:
     is reached. eta (rad/s2), k (1/s): switching gains. k_i (rad/s): equilibrium seeking, 0 for the paper's law.
     """
 
-    c1: ArrayLike = 0.5501
-    c2: ArrayLike = 2.3272
-    z_u: ArrayLike = 0.9626
-    phi_z: ArrayLike = 7.4822
-    eta: ArrayLike = 2.7688
-    k: ArrayLike = 0.6769
-    k_i: ArrayLike = 0.0
+    c1: Real = 0.5501
+    c2: Real = 2.3272
+    z_u: Real = 0.9626
+    phi_z: Real = 7.4822
+    eta: Real = 2.7688
+    k: Real = 0.6769
+    k_i: Real = 0.0
 
 
 class Signals(NamedTuple):
@@ -101,7 +101,7 @@ def asked_swing_slope(gains: SlidingModeGains, s1: Array, convention: str = "cor
     return _amplitude(gains, convention) / gains.phi_z * (1.0 - saturation * saturation)
 
 
-def _amplitude(gains: SlidingModeGains, convention: str) -> ArrayLike:
+def _amplitude(gains: SlidingModeGains, convention: str) -> Real:
     return gains.z_u if convention == "printed" else -gains.z_u
 
 
@@ -114,7 +114,7 @@ def second_surface(gains: SlidingModeGains, deviation: Array, rate: Array) -> Ar
     return gains.c2 * deviation + rate
 
 
-def reaching_rate(gains: SlidingModeGains, s2: Array, smoothing: ArrayLike) -> Array:
+def reaching_rate(gains: SlidingModeGains, s2: Array, smoothing: Real) -> Array:
     """Rate at which the law drives s2 to zero, eta sgn(s2) + k s2, rad/s2, the numerator of Eq. (15).
 
     Differs from the paper: sgn is tanh(s2 / smoothing) while `smoothing` (rad/s) is positive.
@@ -129,7 +129,7 @@ def lyapunov(s2: Array) -> Array:
     return 0.5 * s2 * s2
 
 
-def lyapunov_rate(gains: SlidingModeGains, s2: Array, smoothing: ArrayLike) -> Array:
+def lyapunov_rate(gains: SlidingModeGains, s2: Array, smoothing: Real) -> Array:
     """Rate V' = s2 s2' <= -eta |s2| - k s2^2 of V = s2^2 / 2 under the law, rad2/s3, Eq. (16); equal with the hard sign."""
     return -s2 * reaching_rate(gains, s2, smoothing)
 
@@ -140,8 +140,8 @@ def signals(
     gains: SlidingModeGains,
     state: planar.State,
     correction: Array,
-    target: ArrayLike,
-    smoothing: ArrayLike,
+    target: Real,
+    smoothing: Real,
     convention: str = "corrected",
 ) -> Signals:
     """Evaluate the law at one state: surfaces, s2' = drift + decoupling u of (11), and u_eq from s2' = 0, Eq. (12).
@@ -181,10 +181,10 @@ def _correction_rate(gains: SlidingModeGains, s1: Array, correction: Array) -> A
 
 def law(
     robot: Robot,
-    slope: ArrayLike,
+    slope: Real,
     gains: SlidingModeGains,
-    target: ArrayLike,
-    smoothing: ArrayLike,
+    target: Real,
+    smoothing: Real,
     convention: str = "corrected",
 ) -> Callable[[Array, planar.State, tuple[Array, ...]], Command]:
     """Build the control law (time, state, memory) -> Command with torque u = u_eq + u_sw, Eq. (13).
@@ -212,7 +212,7 @@ def law(
     return control
 
 
-def nonsingularity_margin(robot: Robot, gains: SlidingModeGains) -> Array:
+def nonsingularity_margin(robot: Robot, gains: SlidingModeGains) -> Real:
     """How far (12) is from dividing by zero in any state: positive is safe, 1 is safest, dimensionless.
 
     The divisor stays positive for every state when (z_U c2 / Phi_z) (m_p r l - M22) < M11 - m_p r l. The margin is one minus
@@ -223,7 +223,7 @@ def nonsingularity_margin(robot: Robot, gains: SlidingModeGains) -> Array:
     return 1.0 - steepest * (lumped.coupling - lumped.pendulum_inertia) / (lumped.rolling_inertia - lumped.coupling)
 
 
-def sliding_mode_poles(robot: Robot, slope: ArrayLike, gains: SlidingModeGains, *, seeking: bool = False) -> Array:
+def sliding_mode_poles(robot: Robot, slope: Real, gains: SlidingModeGains, *, seeking: bool = False) -> Array:
     """Poles (1/s, complex, (3,)) of the motion on s2 = 0, linearised at rest on the target.
 
     Theorem 1 of the paper shows that s2 reaches zero; that alpha and phi then settle needs these poles in the left half

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 
 from jaxsphere.models import planar
+from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot
 
 
@@ -26,13 +26,13 @@ class Equilibria(NamedTuple):
     exists: Array  # bool
 
 
-def swing_sine(robot: Robot, slope: ArrayLike) -> Array:
+def swing_sine(robot: Robot, slope: Real) -> Real:
     """Sine of the equilibrium swing that balances the weight of the robot, Eq. (2); above 1 no swing does."""
     lumped = planar.lump(robot, slope)
     return lumped.slope_torque / lumped.pendulum_weight
 
 
-def equilibrium_swing(robot: Robot, slope: ArrayLike) -> Array:
+def equilibrium_swing(robot: Robot, slope: Real) -> Array:
     """Equilibrium swing phi_0 in rad, from the vertical, Eq. (3).
 
     Past the bound (4) no equilibrium exists; the result is then the nearest lean, +-pi/2, with a zero gradient, and never
@@ -50,19 +50,19 @@ def climbing_bound(robot: Robot) -> Array:
     return jnp.where(bounded, jnp.arcsin(jnp.where(bounded, sine, 0.0)), 0.5 * jnp.pi)
 
 
-def can_hold(robot: Robot, slope: ArrayLike) -> Array:
+def can_hold(robot: Robot, slope: Real) -> Array:
     """Tell (bool) whether the slope (rad) is within the bound (4)."""
     return jnp.abs(swing_sine(robot, slope)) <= 1.0
 
 
-def equilibria(robot: Robot, slope: ArrayLike) -> Equilibria:
+def equilibria(robot: Robot, slope: Real) -> Equilibria:
     """Return both equilibrium swings of the robot held on the slope; they merge at the bound (4), a saddle-node."""
     lower = equilibrium_swing(robot, slope)
     side = jnp.where(lower < 0.0, -1.0, 1.0)
     return Equilibria(lower, side * jnp.pi - lower, can_hold(robot, slope))
 
 
-def zero_dynamics_poles(robot: Robot, slope: ArrayLike, swing: ArrayLike | None = None) -> Array:
+def zero_dynamics_poles(robot: Robot, slope: Real, swing: Real | None = None) -> Array:
     """Poles (1/s, complex, (2,)) of the swing when the torque holds the sphere angle fixed.
 
     With alpha'' = 0 the motion left is (M12 - M22) phi'' = N2 - N1. A pole in the right half plane means that the sphere

@@ -18,9 +18,8 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 
-from jaxsphere.numerics import sincos
+from jaxsphere.numerics import Real, sincos
 from jaxsphere.robot import Robot
 
 STATE_NAMES = ("alpha", "alpha_rate", "swing", "swing_rate")
@@ -36,11 +35,11 @@ State = Sequence[Array] | Array
 class Lumped(NamedTuple):
     """Constants of (1) for one robot on one slope; every entry a scalar."""
 
-    rolling_inertia: Array  # M11 = (m + m_i + m_p) r^2 + I_s, kg m2
-    pendulum_inertia: Array  # M22 = m_p l^2 + I_i, kg m2
-    coupling: Array  # m_p r l, kg m2
-    slope_torque: Array  # (m + m_i + m_p) g r sin(gamma), N m
-    pendulum_weight: Array  # m_p g l, N m
+    rolling_inertia: Real  # M11 = (m + m_i + m_p) r^2 + I_s, kg m2
+    pendulum_inertia: Real  # M22 = m_p l^2 + I_i, kg m2
+    coupling: Real  # m_p r l, kg m2
+    slope_torque: Real  # (m + m_i + m_p) g r sin(gamma), N m
+    pendulum_weight: Real  # m_p g l, N m
     sin_slope: Array
     cos_slope: Array
 
@@ -54,7 +53,7 @@ class Canonical(NamedTuple):
     b2: Array
 
 
-def lump(robot: Robot, slope: ArrayLike) -> Lumped:
+def lump(robot: Robot, slope: Real) -> Lumped:
     """Gather the constants of the planar equations for `robot` on a `slope` (rad)."""
     total = total_mass(robot)
     sin_slope, cos_slope = jnp.sin(slope), jnp.cos(slope)
@@ -70,12 +69,12 @@ def lump(robot: Robot, slope: ArrayLike) -> Lumped:
     )
 
 
-def total_mass(robot: Robot) -> ArrayLike:
+def total_mass(robot: Robot) -> Real:
     """Mass of shell, gimbal and pendulum, kg."""
     return robot.shell_mass + robot.gimbal_mass + robot.pendulum_mass
 
 
-def inertia(lumped: Lumped, state: State) -> tuple[Array, Array, Array]:
+def inertia(lumped: Lumped, state: State) -> tuple[Real, Array, Real]:
     """Entries (M11, M12, M22) of the symmetric inertia matrix, kg m2."""
     _, _, swing, _ = state
     sin_swing, cos_swing = sincos(swing)
@@ -116,7 +115,7 @@ def derivative(lumped: Lumped, state: State, torque: Sequence[Array]) -> tuple[A
     return alpha_rate, f1 + b1 * tau, swing_rate, f2 + b2 * tau
 
 
-def acceleration(robot: Robot, slope: ArrayLike, state: ArrayLike, torque: ArrayLike) -> Array:
+def acceleration(robot: Robot, slope: Real, state: State, torque: Real) -> Array:
     """Accelerations (alpha'', phi'') from M(q) q'' + N(q, q') = B tau, Eq. (1).
 
     Args:
@@ -134,20 +133,20 @@ def acceleration(robot: Robot, slope: ArrayLike, state: ArrayLike, torque: Array
     return jnp.stack([alpha_acceleration, swing_acceleration])
 
 
-def mass_matrix(robot: Robot, slope: ArrayLike, state: ArrayLike) -> Array:
+def mass_matrix(robot: Robot, slope: Real, state: State) -> Array:
     """Inertia matrix M(q), (2, 2), kg m2."""
     m11, m12, m22 = inertia(lump(robot, slope), tuple(jnp.asarray(state)))
     return jnp.array([[m11, m12], [m12, m22]])
 
 
-def kinetic_energy(robot: Robot, slope: ArrayLike, state: ArrayLike) -> Array:
+def kinetic_energy(robot: Robot, slope: Real, state: State) -> Array:
     """Kinetic energy q'^T M q' / 2, J."""
     _, alpha_rate, _, swing_rate = state
     m11, m12, m22 = inertia(lump(robot, slope), state)
     return 0.5 * (m11 * alpha_rate**2 + 2.0 * m12 * alpha_rate * swing_rate + m22 * swing_rate**2)
 
 
-def potential_energy(robot: Robot, slope: ArrayLike, state: ArrayLike) -> Array:
+def potential_energy(robot: Robot, slope: Real, state: State) -> Array:
     """Potential energy, J, zero at alpha = 0 with the pendulum at a right angle."""
     alpha, _, swing, _ = state
     lumped = lump(robot, slope)

@@ -8,16 +8,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 
 from jaxsphere.checks import is_concrete, require_scalar
 from jaxsphere.command import Status
+from jaxsphere.numerics import Real
 from jaxsphere.simulation.rollout import Trajectory
 
 _ADVICE = {
     Status.WHIRLING: "the pendulum went over the top; lower z_u or the slope",
     Status.DIVERGED: "the robot rolled away; check the sign convention, the gains and the torque limit",
-    Status.SINGULAR_DECOUPLING: "the controller divides by zero; make nonsingularity_margin positive by lowering z_u * c2 / phi_z",
+    Status.SINGULAR_DECOUPLING: "it divides by zero; make nonsingularity_margin positive by lowering z_u c2 / phi_z",
     Status.SINGULAR_COORDINATES: "the lean reached 0 or pi, where the angles are singular; lower the demand",
     Status.INFEASIBLE_LEAN: "no swing of the pendulum balances the demand; lower the slope or the demand",
     Status.NONFINITE: "the next state is not finite; lower dt",
@@ -38,14 +38,14 @@ def raise_early_end(trajectory: Trajectory) -> Trajectory:
     if is_concrete(status) and jnp.ndim(status) == 0 and int(status) in _ADVICE:
         ended = Status(int(status))
         raise RolloutError(
-            f"the rollout ended at {float(trajectory.end_time):.3f} s with status {ended.name.lower()}: {_ADVICE[ended]}, or type "
-            "throw=False to get the trajectory up to there",
+            f"the rollout ended at {float(trajectory.end_time):.3f} s with status {ended.name.lower()}: {_ADVICE[ended]}, "
+            "or type throw=False to get the trajectory up to there",
             trajectory,
         )
     return trajectory
 
 
-def check_time_grid(duration: float, dt: ArrayLike, save_every: int | None) -> int:
+def check_time_grid(duration: float, dt: Real, save_every: int | None) -> int:
     """Return the number of steps. Raises ValueError unless duration, dt and save_every divide evenly and are positive."""
     if not is_concrete(duration):
         raise ValueError("duration is traced; type a plain number, it fixes the length of the compiled loop")
@@ -63,7 +63,7 @@ def check_time_grid(duration: float, dt: ArrayLike, save_every: int | None) -> i
     return steps
 
 
-def check_control_period(period: float | None, dt: ArrayLike) -> np.ndarray | None:
+def check_control_period(period: float | None, dt: Real) -> np.ndarray | None:
     """Return the zero-order hold in steps, None for continuous control. Raises ValueError unless it is a multiple of dt."""
     if period is None:
         return None
