@@ -54,7 +54,7 @@ def rest_to_rest(
         initial_state: (4,) alpha, alpha', phi, phi'; rest at phi_0 of the modelled robot by default.
         control_period: s, a multiple of dt, for a sampled controller with a zero-order hold; None for a continuous one.
         convention: "corrected" or "printed" sign of z. method: an integrator. save_every: keep every so many steps (a
-        divisor of their number), None for the first and last state only. dtype: float64 unless given.
+        divisor of their number), None for the last state only. dtype: float64 unless given.
         throw: raise when a single rollout ends early; otherwise, and always under vmap and jit, `status` tells.
 
     Returns:
@@ -80,11 +80,6 @@ def rest_to_rest(
         require_finite_vector("initial_state", initial_state, 4, "alpha, alpha', phi, phi'")
     require_choice("convention", convention, sliding_mode.CONVENTIONS)
     require_choice("method", method, METHODS)
-    if throw:
-        _require_holdable(robot, slope)
-        if plant is not None:
-            _require_holdable(plant, slope, "plant")
-
     numbers = (robot, plant, slope, gains, travel, dt, smoothing, torque_limit, initial_state)
     trajectory = _rest_to_rest(
         *cast(numbers, dtype or jnp.float64),
@@ -94,7 +89,10 @@ def rest_to_rest(
         convention=convention,
         method=method,
     )
-    return raise_early_end(trajectory) if throw else trajectory
+    if throw:
+        _require_holdable(trajectory, robot, slope)
+        raise_early_end(trajectory)
+    return trajectory
 
 
 @partial(jax.jit, static_argnames=("steps", "save_every", "convention", "method"))
@@ -155,10 +153,11 @@ def planar_plant(robot: Robot, slope: Array, start: Array, travel: Array) -> Pla
     return Plant(partial(planar.derivative, lumped), status, planar.IS_VELOCITY)
 
 
-def _require_holdable(robot: Robot, slope: Real, name: str = "robot") -> None:
-    if is_concrete((robot, slope)) and not climbing.can_hold(robot, slope):
+def _require_holdable(trajectory: Trajectory, robot: Robot, slope: Real) -> None:
+    status = trajectory.status
+    if is_concrete(status) and status.ndim == 0 and int(status) == Status.INFEASIBLE_LEAN:
         bound = float(climbing.climbing_bound(robot))
         raise ValueError(
-            f"slope = {float(slope):.4g} rad ({math.degrees(float(slope)):.2f} deg) is past the climbing bound of the {name}, "
+            f"slope = {float(slope):.4g} rad ({math.degrees(float(slope)):.2f} deg) is past the climbing bound of the robot, "
             f"{bound:.4g} rad ({math.degrees(bound):.2f} deg): no swing of its pendulum holds it; type a smaller slope"
         )

@@ -35,7 +35,7 @@ class _Running(NamedTuple):
 def regulation(target: Array, travel: Array, equilibrium: Array) -> Measure:
     """Measure of a move by `travel` (rad) to `target` (rad) for states (alpha, alpha', phi, phi')."""
     zero = jnp.zeros_like(target)
-    nothing = RegulationMetrics(zero, zero, zero, zero, zero + jnp.inf, zero - jnp.inf, zero, zero, zero, zero)
+    nothing = RegulationMetrics(zero + jnp.inf, zero, zero, zero, zero + jnp.inf, zero - jnp.inf, zero, zero, zero, zero)
 
     def update(running: _Running, time: Array, state: State, torque: State, dt: Array) -> _Running:
         alpha, _, swing, _ = state
@@ -44,7 +44,7 @@ def regulation(target: Array, travel: Array, equilibrium: Array) -> Measure:
         outside = jnp.abs(error) > SETTLING_BAND * jnp.abs(travel)
         variation = jnp.where(time > 0.0, jnp.abs(tau - running.last_torque), 0.0)
         now = RegulationMetrics(
-            settling_time=jnp.where(outside, jnp.where(dt > 0.0, time + dt, jnp.inf), last.settling_time),
+            settling_time=jnp.where(outside, jnp.inf, jnp.minimum(last.settling_time, time)),
             overshoot=jnp.maximum(last.overshoot, error / travel),
             final_error=error,
             peak_swing=jnp.maximum(last.peak_swing, jnp.abs(swing - equilibrium)),

@@ -63,6 +63,7 @@ class Trajectory:
 class _Loop(NamedTuple):
     x: State
     memory: State
+    torque: State  # the last one applied
     held: Command | None
     status: Array
     end_time: Array
@@ -87,14 +88,14 @@ def rollout(
 
     Args:
         plant, law: the robot and its controller. state, memory: their initial components.
-        save_every: keep every so many steps (a divisor of `steps`), or None to keep the first and last only.
+        save_every: keep every so many steps (a divisor of `steps`), or None to keep the end only (T = 1).
         hold: zero-order hold of the command, in steps; None evaluates the law continuously, in every stage.
         torque_limit: each torque is clipped to +-this, N m. measure: a running metric, updated at every step.
         method: one of `integrators.METHODS`.
     """
     step = stepper(method, plant.is_velocity + (True,) * len(memory))
-    block = math.isqrt(max(steps - 1, 0)) + 1 if save_every is None else save_every
-    blocks = -(-steps // block)
+    block = math.isqrt(steps) + 1 if save_every is None else save_every
+    zero = jnp.zeros_like(state[0])
 
     def command(time: Array, x: State, memory: State) -> Command:
         now = law(time, x, memory)
@@ -103,6 +104,7 @@ def rollout(
         return now._replace(torque=tuple(jnp.clip(u, -torque_limit, torque_limit) for u in now.torque))
 
     def advance(loop: _Loop, index: Array) -> tuple[_Loop, State]:
+        """Measure the state at `index` and, but for the last one, step on from it."""
         time = index * dt
         held = loop.held
         if hold is not None:
@@ -115,57 +117,58 @@ def rollout(
 
         y = loop.x + loop.memory
         ahead, now = step(field, time, y, dt)
-        finite = jnp.isfinite(sum(ahead[1:], ahead[0]))
+        alive = (loop.status == Status.OK) & (index <= steps)
         defined = now.status == Status.OK
-        running = (loop.status == Status.OK) & (index < steps)
-        moves = running & finite & defined
+        finite = jnp.isfinite(sum(ahead[1:], ahead[0]))
+        moving = alive & (index < steps)
+        moves = moving & defined & finite
         fate = jnp.where(finite, plant.status(ahead[: len(state)]), code(Status.NONFINITE))
         fate = jnp.where(defined, fate, now.status)
-        y = _where(moves, ahead, y)
+
         measured = loop.measured
         if measure is not None:
-            measured = _where(running, measure.update(measured, time, loop.x, now.torque, dt), measured)
-        end_time = jnp.where(running, jnp.where(moves, time + dt, time), loop.end_time)
-        status = jnp.where(running, fate, loop.status)
-        torque = _where(running & defined, now.torque, tuple(jnp.zeros_like(u) for u in now.torque))
-        return _Loop(y[: len(state)], y[len(state) :], held, status, end_time, measured), torque
+            measured = _where(alive, measure.update(measured, time, loop.x, now.torque, jnp.where(moving, dt, 0.0)), measured)
+        torque = tuple(jnp.where(defined, u, 0.0) for u in now.torque)
+        y = _where(moves, ahead, y)
+        after = _Loop(
+            x=y[: len(state)],
+            memory=y[len(state) :],
+            torque=_where(alive, torque, loop.torque),
+            held=held,
+            status=jnp.where(moving, fate, loop.status),
+            end_time=jnp.where(moves, time + dt, loop.end_time),
+            measured=measured,
+        )
+        return after, _where(alive, torque, tuple(jnp.zeros_like(u) for u in torque))
 
-    def sample(loop: _Loop, index: Array) -> tuple[_Loop, tuple[State, State, State] | None]:
-        after, torques = jax.lax.scan(advance, loop, index * block + jnp.arange(block))
+    def sample(loop: _Loop, first: Array) -> tuple[_Loop, tuple[State, State, State] | None]:
+        after, torques = jax.lax.scan(advance, loop, first + jnp.arange(block))
         return after, None if save_every is None else (loop.x, loop.memory, tuple(u[0] for u in torques))
 
-    start = command(jnp.zeros_like(dt), state, memory)
-    zero = jnp.zeros_like(state[0])
+    blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(command, zero, state, memory))
     loop = _Loop(
         x=state,
         memory=memory,
-        held=None if hold is None else start,
-        status=jnp.zeros_like(start.status),
+        torque=blank.torque,
+        held=None if hold is None else blank,
+        status=jnp.full(zero.shape, code(Status.OK)),
         end_time=zero,
         measured=None if measure is None else measure.initial,
     )
     # Without the checkpoint reverse mode would store every intermediate of every step.
-    loop, saved = jax.lax.scan(jax.checkpoint(sample, prevent_cse=False), loop, jnp.arange(blocks))
-
-    duration = steps * dt
-    last = loop.held or command(duration, loop.x, loop.memory)
-    last_torque = _where(loop.status == Status.OK, last.torque, tuple(jnp.zeros_like(u) for u in last.torque))
-    if save_every is None:
-        saved = jax.tree.map(lambda leaf: leaf[None], (state, memory, start.torque))
-    x, memory, torque = jax.tree.map(
-        lambda before, end: jnp.concatenate([before, end[None]]), saved, (loop.x, loop.memory, last_torque)
-    )
-    metrics = None
-    if measure is not None:
-        metrics = measure.finish(measure.update(loop.measured, duration, loop.x, last_torque, zero))
+    blocks = block * jnp.arange(steps // block + 1)
+    loop, saved = jax.lax.scan(jax.checkpoint(sample, prevent_cse=False), loop, blocks)
+    if saved is None:
+        saved = jax.tree.map(lambda leaf: leaf[None], (loop.x, loop.memory, loop.torque))
+    x, memory, torque = saved
     return Trajectory(
-        time=jnp.linspace(zero, duration, len(x[0])),
+        time=jnp.asarray([steps] if save_every is None else blocks) * dt,
         state=jnp.stack(x, -1),
         torque=jnp.stack(torque, -1),
         memory=jnp.stack(memory, -1) if memory else jnp.zeros((len(x[0]), 0), zero.dtype),
         status=loop.status,
-        end_time=jnp.where(loop.status == Status.OK, duration, loop.end_time),
-        metrics=metrics,
+        end_time=loop.end_time,
+        metrics=None if measure is None else measure.finish(loop.measured),
     )
 
 

@@ -1,0 +1,84 @@
+"""Objectives: weighted sums of named terms of a rollout, one number to make small."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+import jaxsphere as js
+from jaxsphere.numerics import Real
+
+
+class Weights(NamedTuple):
+    """Weights of the terms of `RestToRest`; zero switches a term off."""
+
+    tracking: float = 1.0
+    swing: float = 1.0
+    torque: float = 1e-3
+    chatter: float = 1e-4
+
+
+class Terms(NamedTuple):
+    """The unweighted terms of one rollout; every entry a scalar."""
+
+    tracking: Array  # s^2: integral of t |e| / travel
+    swing: Array  # s: integral of the squared excess of |phi - phi_0| over swing_limit, in units of (1 degree)^2
+    torque: Array  # (N m)^2 s: integral of tau^2
+    chatter: Array  # (N m)^2 / s: integral of tau'^2
+
+
+@dataclass(frozen=True, eq=False)
+class RestToRest:
+    """Objective of a move from rest to rest, as a function of `SlidingModeGains`.
+
+    slope: rad. travel: rad. duration, dt: s. smoothing: epsilon of the switching term, rad/s, positive for a useful gradient
+    with respect to eta. torque_limit: N m. swing_limit: rad, |phi - phi_0| above it is penalised.
+    """
+
+    robot: js.Robot = field(default_factory=js.Robot)
+    slope: Real = 0.17453292519943295  # 10 degrees
+    travel: Real = 10.0
+    duration: float = 8.0
+    dt: float = 4e-3
+    smoothing: float = 0.05
+    torque_limit: float | None = 5.0
+    swing_limit: float = 0.3490658503988659  # 20 degrees
+    weights: Weights = Weights()
+    method: str = "rk4"
+
+    def rollout(self, gains: js.SlidingModeGains) -> js.Trajectory:
+        """Roll out the task with these gains."""
+        return js.rest_to_rest(
+            self.robot,
+            self.slope,
+            gains,
+            self.travel,
+            self.duration,
+            self.dt,
+            self.smoothing,
+            self.torque_limit,
+            method=self.method,
+            throw=False,
+        )
+
+    def terms(self, gains: js.SlidingModeGains) -> Terms:
+        """Evaluate every term of one rollout."""
+        trajectory = self.rollout(gains)
+        alpha, _, swing, _ = trajectory.state.T
+        error = (alpha - alpha[0]) / self.travel - 1.0
+        deviation = jnp.abs(swing - js.equilibrium_swing(self.robot, self.slope))
+        excess = jnp.rad2deg(jnp.maximum(deviation - self.swing_limit, 0.0))
+        torque = trajectory.torque[:, 0]
+        return Terms(
+            tracking=self.dt * jnp.sum(trajectory.time * jnp.abs(error)),
+            swing=self.dt * jnp.sum(excess**2),
+            torque=self.dt * jnp.sum(torque**2),
+            chatter=jnp.sum(jnp.diff(torque) ** 2) / self.dt,
+        )
+
+    def __call__(self, gains: js.SlidingModeGains) -> Array:
+        """Weighted sum of the terms."""
+        return sum((w * t for w, t in zip(self.weights, self.terms(gains), strict=True)), jnp.zeros(()))

@@ -1,0 +1,84 @@
+"""Gains as a vector without bounds: the optimiser sees R^n, the controller sees admissible gains in physical units.
+
+A tree of transforms runs parallel to the gains: POSITIVE (logarithm), UNIT (logit, for gains in (0, 1)) or FROZEN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxsphere import SlidingModeGains
+
+
+class Transform(NamedTuple):
+    """A smooth bijection between the real line and the admissible values of one gain."""
+
+    to_gain: Callable[[Array], Array]
+    to_free: Callable[[Array], Array]
+
+
+POSITIVE = Transform(jnp.exp, jnp.log)
+UNIT = Transform(jax.nn.sigmoid, lambda gain: jnp.log(gain) - jnp.log1p(-gain))
+FROZEN = None
+
+# The transforms of each kind of gains that the package knows, by the name of the field.
+_KNOWN: dict[type, dict[str, Transform | None]] = {
+    SlidingModeGains: dict.fromkeys(("c1", "c2", "phi_z", "eta", "k"), POSITIVE) | {"z_u": UNIT, "k_i": FROZEN},
+}
+
+
+@dataclass(frozen=True)
+class Parametrisation:
+    """Which gains are free, in which order, and how they map to a vector of R^n; the others keep `reference`'s values."""
+
+    reference: Any
+    transforms: dict[str, Transform]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free gains, in the order of the vector."""
+        return tuple(self.transforms)
+
+    def to_vector(self, gains: Any) -> Array:
+        """Free vector (n,) of the gains."""
+        return jnp.stack([t.to_free(jnp.asarray(getattr(gains, name), float)) for name, t in self.transforms.items()])
+
+    def to_gains(self, vector: Array) -> Any:
+        """Gains of the free vector (n,)."""
+        free = {name: t.to_gain(vector[i]) for i, (name, t) in enumerate(self.transforms.items())}
+        kept = {leaf.name: getattr(self.reference, leaf.name) for leaf in fields(self.reference)}
+        return type(self.reference)(**kept | free)
+
+
+def parametrise(gains: Any, frozen: Sequence[str] = (), transforms: dict[str, Transform | None] | None = None) -> Parametrisation:
+    """Choose the free gains of `gains`.
+
+    Args:
+        gains: any dataclass of scalar gains; it also gives the values of the frozen ones.
+        frozen: names of gains to keep. transforms: a transform per field, needed for gains of the user's own; overrides.
+
+    Raises:
+        ValueError: an unknown name, no transform known, a gain outside its range, or nothing left to tune.
+    """
+    known = _KNOWN.get(type(gains), {}) | (transforms or {})
+    names = [leaf.name for leaf in fields(gains)]
+    for name in (*frozen, *known):
+        if name not in names:
+            raise ValueError(f"frozen or transforms name {name!r}, which is no gain; type some of {', '.join(names)}")
+    missing = [name for name in names if name not in known]
+    if missing:
+        raise ValueError(f"no transform is known for {', '.join(missing)}; type transforms={{{missing[0]!r}: tuning.POSITIVE, ...}}")
+    free = {name: known[name] for name in names if known[name] is not FROZEN and name not in frozen}
+    if not free:
+        raise ValueError("frozen leaves nothing to tune; leave at least one gain free")
+    chosen = Parametrisation(gains, free)  # type: ignore[arg-type]
+    for name, value in zip(chosen.names, chosen.to_vector(gains), strict=True):
+        if not jnp.isfinite(value):
+            raise ValueError(f"initial gain {name} = {getattr(gains, name)} is outside its range; type an admissible start")
+    return chosen
