@@ -18,7 +18,7 @@ class Weights(NamedTuple):
     tracking: float = 1.0
     swing: float = 1.0
     torque: float = 1e-3
-    chatter: float = 1e-4
+    chatter: float = 0.05
 
 
 class Terms(NamedTuple):
@@ -27,7 +27,7 @@ class Terms(NamedTuple):
     tracking: Array  # s^2: integral of t |e| / travel
     swing: Array  # s: integral of the squared excess of |phi - phi_0| over swing_limit, in units of (1 degree)^2
     torque: Array  # (N m)^2 s: integral of tau^2
-    chatter: Array  # (N m)^2 / s: integral of tau'^2
+    chatter: Array  # (N m)^2: mean square of the torque step eta / decoupling that the hard sign switches by
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class RestToRest:
             tracking=self.dt * jnp.sum(trajectory.time * jnp.abs(error)),
             swing=self.dt * jnp.sum(excess**2),
             torque=self.dt * jnp.sum(torque**2),
-            chatter=jnp.sum(jnp.diff(torque) ** 2) / self.dt,
+            chatter=jnp.mean((gains.eta / trajectory.diagnostics.decoupling) ** 2),
         )
 
     def __call__(self, gains: js.SlidingModeGains) -> Array:

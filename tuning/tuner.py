@@ -164,9 +164,9 @@ def tune(
     status = "finished"
     with tqdm(total=iterations, desc="tuning", unit="step", disable=not progress) as bar:
         try:
-            while bar.n < iterations:
+            for done in range(0, iterations, chunk):
                 batch, (values, norms) = run(batch)
-                count = min(chunk, iterations - bar.n)
+                count = min(chunk, iterations - done)
                 history.append((np.asarray(values).T[:count], np.asarray(norms).T[:count]))
                 if not np.isfinite(history[0][0][0]).any():
                     raise ValueError(f"the objective is not finite at any of the {starts} starts; type another initial_gains")
