@@ -18,7 +18,7 @@ class Weights(NamedTuple):
     tracking: float = 1.0
     swing: float = 1.0
     torque: float = 1e-3
-    chatter: float = 0.05
+    chatter: float = 0.5
 
 
 class Terms(NamedTuple):

@@ -56,7 +56,9 @@ class Parametrisation:
         return type(self.reference)(**kept | free)
 
 
-def parametrise(gains: Any, frozen: Sequence[str] = (), transforms: dict[str, Transform | None] | None = None) -> Parametrisation:
+def parametrise(
+    gains: Any, frozen: Sequence[str] = (), transforms: dict[str, Transform | None] | None = None
+) -> Parametrisation:
     """Choose the free gains of `gains`.
 
     Args:
@@ -73,7 +75,9 @@ def parametrise(gains: Any, frozen: Sequence[str] = (), transforms: dict[str, Tr
             raise ValueError(f"frozen or transforms name {name!r}, which is no gain; type some of {', '.join(names)}")
     missing = [name for name in names if name not in known]
     if missing:
-        raise ValueError(f"no transform is known for {', '.join(missing)}; type transforms={{{missing[0]!r}: tuning.POSITIVE, ...}}")
+        raise ValueError(
+            f"no transform is known for {', '.join(missing)}; type transforms={{{missing[0]!r}: tuning.POSITIVE, ...}}"
+        )
     free = {name: known[name] for name in names if known[name] is not FROZEN and name not in frozen}
     if not free:
         raise ValueError("frozen leaves nothing to tune; leave at least one gain free")

@@ -62,7 +62,9 @@ class TuningResult:
         rows.append(f"{'objective':<10}{self.initial_objective:>12.4f}{self.objective:>12.4f}")
         finals = np.nanmin(self.history["objective"], axis=0) if self.history["objective"].size else np.zeros(0)
         near = int(np.sum(finals <= 1.02 * self.objective)) if self.objective > 0 else 0
-        rows.append(f"{self.status}: {self.evaluations} rollouts with gradient, {near} of {finals.size} starts within 2 % of the best")
+        rows.append(
+            f"{self.status}: {self.evaluations} rollouts with gradient, {near} of {finals.size} starts within 2 % of the best"
+        )
         return "\n".join(rows)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -84,10 +86,14 @@ class TuningResult:
             arrays = {name: np.array(rows, dtype=np.float64).reshape(len(rows), -1) for name, rows in history.items()}
             return cls(history=arrays, **content | {"names": tuple(content["names"])})
         except (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{os.fspath(path)} is no tuning result of this version; type a file that TuningResult.save wrote") from error
+            raise ValueError(
+                f"{os.fspath(path)} is no tuning result of this version; type a file that TuningResult.save wrote"
+            ) from error
 
 
-def value_and_gradient(objective: Objective, chosen: Parametrisation, gradient: str = "forward") -> Callable[[Array], tuple[Array, Array]]:
+def value_and_gradient(
+    objective: Objective, chosen: Parametrisation, gradient: str = "forward"
+) -> Callable[[Array], tuple[Array, Array]]:
     """Return vector (n,) -> (objective, its gradient (n,)) in the free coordinates of `chosen`.
 
     Forward mode pushes the n unit vectors through the rollout: no memory in the horizon, best for a few gains. Reverse mode

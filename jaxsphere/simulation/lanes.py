@@ -57,7 +57,9 @@ def over_lanes(function: Callable[..., Any], block: int = BLOCK) -> Callable[...
 def _lane_count(arguments: tuple[Any, ...]) -> int:
     counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(arguments)}
     if len(counts) != 1 or counts in ({()}, {(0,)}):
-        raise ValueError(f"the leading axes of the batched arguments are {sorted(counts)}; type one positive number of lanes for all")
+        raise ValueError(
+            f"the leading axes of the batched arguments are {sorted(counts)}; type one positive number of lanes for all"
+        )
     return counts.pop()[0]
 
 
