@@ -45,20 +45,22 @@ def reproduce(record: Record, progress: bool = True) -> dict[str, Any]:
     record.picture("fig4_tuning", plotting.convergence_figure(result))
     record.picture("fig4_mismatch", _mismatch_figure(mismatch))
     return {
+        "summary": _summary(scored, printed, mismatch),
         "climbing_bound_deg": jnp.rad2deg(js.climbing_bound(robot)),
         "equilibrium_swing_deg": jnp.rad2deg(js.equilibrium_swing(robot, SLOPE)),
         "zero_dynamics_poles": jnp.real(js.zero_dynamics_poles(robot, SLOPE)),
-        "table_3": _figures(corrected, table),
-        "table_3_printed_sign": _figures(printed, table),
-        "tuned": _figures(tuned, result.gains),
-        "scored_with_hard_sign_1kHz_hold": {name: _figures(trajectory) for name, trajectory in scored.items()},
+        "table_3": figures(corrected, table),
+        "table_3_printed_sign": figures(printed, table),
+        "tuned": figures(tuned, result.gains),
+        "scored_with_hard_sign_1kHz_hold": {name: figures(trajectory) for name, trajectory in scored.items()},
         "tuned_gains": result.gains,
         "tuning": {"objective_before": result.initial_objective, "objective_after": result.objective},
         "pendulum_mass_mismatch": {name: _mismatch_numbers(trajectories) for name, trajectories in mismatch.items()},
     }
 
 
-def _figures(trajectory: js.Trajectory, gains: js.SlidingModeGains | None = None) -> dict[str, Any]:
+def figures(trajectory: js.Trajectory, gains: js.SlidingModeGains | None = None) -> dict[str, Any]:
+    """Name the figures of merit of one rest-to-rest trajectory, and with `gains` what the linearisation says of them."""
     metrics = trajectory.metrics
     numbers = {
         "status": js.Status(int(trajectory.status)).name.lower(),
@@ -78,6 +80,24 @@ def _figures(trajectory: js.Trajectory, gains: js.SlidingModeGains | None = None
     return numbers
 
 
+def _summary(scored: dict[str, js.Trajectory], printed: js.Trajectory, mismatch: dict[str, js.Trajectory]) -> list[str]:
+    rows = ["gains, hard sign, 1 kHz hold, 5 N m    2 % settling   peak swing about equilibrium   peak torque"]
+    for name, trajectory in scored.items():
+        numbers = trajectory.metrics
+        rows.append(
+            f"{name:<36}{float(numbers.settling_time):>12.2f} s{float(jnp.rad2deg(numbers.peak_swing)):>23.1f} deg"
+            f"{float(numbers.peak_torque):>16.1f} N m"
+        )
+    rows.append(f"printed sign of z: {js.Status(int(printed.status)).name.lower()} after {float(printed.end_time):.2f} s")
+    for name, lanes in mismatch.items():
+        ends = ", ".join(
+            f"x{factor:g}: {'settles' if status == js.Status.OK else js.Status(status).name.lower().replace('_', ' ')}"
+            for factor, status in zip(PENDULUM_FACTORS, np.asarray(lanes.status).tolist(), strict=True)
+        )
+        rows.append(f"pendulum mass of the plant, {name}: {ends}")
+    return rows
+
+
 def _mismatch(gains: js.SlidingModeGains) -> js.Trajectory:
     def lane(factor: jax.Array) -> js.Trajectory:
         plant = js.Robot(pendulum_mass=js.Robot().pendulum_mass * factor)
@@ -88,7 +108,7 @@ def _mismatch(gains: js.SlidingModeGains) -> js.Trajectory:
 
 def _mismatch_numbers(trajectories: js.Trajectory) -> dict[str, Any]:
     lanes = [jax.tree.map(lambda leaf, i=i: leaf[i], trajectories) for i in range(len(PENDULUM_FACTORS))]
-    return {f"pendulum_mass_x{factor:g}": _figures(lane) for factor, lane in zip(PENDULUM_FACTORS, lanes, strict=True)}
+    return {f"pendulum_mass_x{factor:g}": figures(lane) for factor, lane in zip(PENDULUM_FACTORS, lanes, strict=True)}
 
 
 def _mismatch_figure(mismatch: dict[str, js.Trajectory]) -> plotting.Figure:

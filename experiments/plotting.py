@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib
 
@@ -23,9 +23,10 @@ STYLES = (
     {"color": "#7a9a3a", "linestyle": "-."},
     {"color": "#8c8c8c", "linestyle": ":"},
 )
-_RC = {
+_RC: Any = {
     "font.size": 9,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.color": "0.9",
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -159,4 +160,4 @@ def _name(axes: Axes, x: str, y: str, title: str = "", legend: bool = True) -> N
     if title:
         axes.set_title(title, fontsize=9)
     if legend:
-        axes.legend(fontsize=8)
+        axes.legend(fontsize=8, frameon=False)

@@ -32,7 +32,7 @@ from jaxsphere.models.climbing import (  # noqa: E402
 from jaxsphere.robot import Robot, check_robot, robot_named, robots  # noqa: E402
 from jaxsphere.simulation.host import RolloutError  # noqa: E402
 from jaxsphere.simulation.rollout import Measure, Plant, Trajectory, rollout  # noqa: E402
-from jaxsphere.tasks import rest_to_rest  # noqa: E402
+from jaxsphere.tasks import require_holdable, rest_to_rest  # noqa: E402
 
 __all__ = [
     "Command",
@@ -50,6 +50,7 @@ __all__ = [
     "equilibrium_swing",
     "nonsingularity_margin",
     "planar",
+    "require_holdable",
     "rest_to_rest",
     "robot_named",
     "robots",

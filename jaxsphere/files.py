@@ -7,6 +7,7 @@ import math
 import os
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,11 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[Path], None]
 def write_json(path: str | os.PathLike[str], content: Any) -> Path:
     """Write any pytree of numbers and strings as JSON, atomically; a number that is not finite becomes null."""
     text = json.dumps(to_plain(content), indent=2, allow_nan=False) + "\n"
-    return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return write_atomically(path, partial(_fill, text))
+
+
+def _fill(text: str, path: Path) -> None:
+    path.write_text(text, encoding="utf-8")
 
 
 def to_plain(content: Any) -> Any:

@@ -19,7 +19,7 @@ from jaxsphere.models import climbing, planar
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot, check_robot
 from jaxsphere.simulation import metrics
-from jaxsphere.simulation.host import cast, check_control_period, check_time_grid, raise_early_end
+from jaxsphere.simulation.host import cast, check_control_period, check_time_grid, is_single, raise_early_end
 from jaxsphere.simulation.integrators import METHODS
 from jaxsphere.simulation.rollout import Plant, Trajectory, rollout
 
@@ -90,7 +90,8 @@ def rest_to_rest(
         method=method,
     )
     if throw:
-        _require_holdable(trajectory, robot, slope)
+        if is_single(trajectory) and int(trajectory.status) == Status.INFEASIBLE_LEAN:
+            require_holdable(robot, slope)
         raise_early_end(trajectory)
     return trajectory
 
@@ -153,9 +154,9 @@ def planar_plant(robot: Robot, slope: Array, start: Array, travel: Array) -> Pla
     return Plant(partial(planar.derivative, lumped), status, planar.IS_VELOCITY)
 
 
-def _require_holdable(trajectory: Trajectory, robot: Robot, slope: Real) -> None:
-    status = trajectory.status
-    if is_concrete(status) and status.ndim == 0 and int(status) == Status.INFEASIBLE_LEAN:
+def require_holdable(robot: Robot, slope: Real) -> None:
+    """Raise ValueError when the slope (rad) is past the climbing bound (4) of the robot; for single robots on the host."""
+    if not bool(climbing.can_hold(robot, slope)):
         bound = float(climbing.climbing_bound(robot))
         raise ValueError(
             f"slope = {float(slope):.4g} rad ({math.degrees(float(slope)):.2f} deg) is past the climbing bound of the robot, "

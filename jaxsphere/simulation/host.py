@@ -32,11 +32,15 @@ class RolloutError(RuntimeError):
         self.trajectory = trajectory
 
 
+def is_single(trajectory: Trajectory) -> bool:
+    """Tell whether this is one rollout on the host, not a batch and not traced."""
+    return is_concrete(trajectory.status) and jnp.ndim(trajectory.status) == 0
+
+
 def raise_early_end(trajectory: Trajectory) -> Trajectory:
     """Raise RolloutError if a single rollout on the host ended early; pass batches and traced rollouts on."""
-    status = trajectory.status
-    if is_concrete(status) and jnp.ndim(status) == 0 and int(status) in _ADVICE:
-        ended = Status(int(status))
+    if is_single(trajectory) and int(trajectory.status) in _ADVICE:
+        ended = Status(int(trajectory.status))
         raise RolloutError(
             f"the rollout ended at {float(trajectory.end_time):.3f} s with status {ended.name.lower()}: {_ADVICE[ended]}, "
             "or type throw=False to get the trajectory up to there",

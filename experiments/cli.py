@@ -1,0 +1,126 @@
+"""The command `jaxsphere`: every subcommand computes, prints, draws and writes metrics.json and manifest.json into --out."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import tyro
+
+from experiments.options import MotionOptions, RobotOptions, SlidingModeOptions, TuningOptions
+from jaxsphere import RolloutError
+from jaxsphere.simulation.lanes import use_all_cores
+
+
+@dataclass
+class Reproduce:
+    """Reproduce the paper's figures with the corrected equations; all of them when none is named."""
+
+    experiments: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Which: fig4."""
+    out: str = "out"
+    """Folder for pictures, metrics.json and manifest.json."""
+    progress: bool = True
+    """Show progress bars."""
+
+    def run(self) -> None:
+        from experiments import commands
+
+        commands.reproduce(self.experiments, self.out, self.progress)
+
+
+@dataclass
+class SimulatePlanar:
+    """Roll the sphere from rest to rest on a slope under sliding-mode control."""
+
+    robot: RobotOptions = field(default_factory=RobotOptions)
+    plant: RobotOptions = field(default_factory=RobotOptions)
+    """The true robot, where it differs from the one that the controller believes in."""
+    gains: Annotated[SlidingModeOptions, tyro.conf.arg(name="")] = field(default_factory=SlidingModeOptions)
+    motion: Annotated[MotionOptions, tyro.conf.arg(name="")] = field(default_factory=MotionOptions)
+    out: str = "out"
+    """Folder for pictures, metrics.json and manifest.json."""
+
+    def run(self) -> None:
+        from experiments import commands
+
+        commands.simulate_planar(self)
+
+
+@dataclass
+class TunePlanar:
+    """Improve the six gains of the planar controller by gradients through rollouts."""
+
+    robot: RobotOptions = field(default_factory=RobotOptions)
+    gains: Annotated[SlidingModeOptions, tyro.conf.arg(name="")] = field(default_factory=SlidingModeOptions)
+    """Where to start."""
+    tuning: Annotated[TuningOptions, tyro.conf.arg(name="")] = field(default_factory=TuningOptions)
+    out: str = "out"
+    """Folder for pictures, tuning.json, metrics.json and manifest.json."""
+
+    def run(self) -> None:
+        from experiments import commands
+
+        commands.tune_planar(self)
+
+
+@dataclass
+class Bench:
+    """Measure speed against peers in the same run."""
+
+    case: str = "planar"
+    """What to measure: planar."""
+    lanes: int = 8192
+    """Rollouts in the batch."""
+    steps: int = 1000
+    """Steps of each rollout."""
+    out: str = "out"
+    """Folder for the picture, metrics.json and manifest.json."""
+
+    def run(self) -> None:
+        from experiments import commands
+
+        commands.bench(self.case, self.lanes, self.steps, self.out)
+
+
+COMMANDS: dict[str, type] = {
+    "reproduce": Reproduce,
+    "simulate planar": SimulatePlanar,
+    "tune planar": TunePlanar,
+    "bench": Bench,
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line. Returns 0, or 2 after one sentence on stderr when an argument is not admissible."""
+    words = sys.argv[1:] if arguments is None else arguments
+    name = next((name for name in COMMANDS if words[: len(name.split())] == name.split()), None)
+    if name is None:
+        return _overview(words)
+    command = tyro.cli(COMMANDS[name], prog=f"jaxsphere {name}", args=words[len(name.split()) :])
+    use_all_cores()
+    try:
+        command.run()
+    except (ValueError, RolloutError) as error:
+        print(f"jaxsphere {name}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"jaxsphere {name}: interrupted", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _overview(words: list[str]) -> int:
+    asked = not words or words[0] in ("-h", "--help")
+    stream = sys.stdout if asked else sys.stderr
+    if not asked:
+        print(f"jaxsphere: {' '.join(words[:2])!r} is no command; type one of these", file=stream)
+    print("usage: jaxsphere COMMAND [--help] [options]\n", file=stream)
+    for name, command in COMMANDS.items():
+        print(f"  {name:<18}{(command.__doc__ or '').strip()}", file=stream)
+    return 0 if asked else 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())
