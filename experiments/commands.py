@@ -39,6 +39,8 @@ def simulate_planar(options: SimulatePlanar) -> None:
     robot = options.robot.make()
     plant = options.plant.make(robot, "plant")
     gains = options.gains.make()
+    require_scalar("slope_deg", motion.slope_deg, above=-90.0, below=90.0, unit="deg")
+    js.require_holdable(robot, motion.slope)
     record = Record(options.out)
     trajectory = js.rest_to_rest(
         robot,
@@ -56,8 +58,6 @@ def simulate_planar(options: SimulatePlanar) -> None:
         method=motion.method,
         throw=False,
     )
-    if int(trajectory.status) == js.Status.INFEASIBLE_LEAN:
-        js.require_holdable(robot, motion.slope)
     numbers = fig4.figures(trajectory)
     title = f"Rest to rest over {motion.travel:g} rad on a {motion.slope_deg:g}° slope: {numbers['status'].replace('_', ' ')}"
     shown = [plotting.Run("simulated", trajectory, gains)]
@@ -75,9 +75,10 @@ def tune_planar(options: TunePlanar) -> None:
     for name in ("tracking_weight", "swing_weight", "torque_weight", "chatter_weight"):
         require_scalar(name, getattr(settings, name), above=0.0, or_equal=True)
     require_scalar("swing_limit_deg", settings.swing_limit_deg, above=0.0, unit="deg")
-    record = Record(options.out)
+    require_scalar("slope_deg", settings.slope_deg, above=-90.0, below=90.0, unit="deg")
     slope = math.radians(settings.slope_deg)
     js.require_holdable(robot, slope)
+    record = Record(options.out)
     objective = tuning.RestToRest(
         robot,
         slope,

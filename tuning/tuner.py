@@ -154,7 +154,7 @@ def tune(
         raise ValueError(f"objective returns shape {shape}; return one scalar")
 
     noise = jax.random.normal(jax.random.key(seed), (starts, first.size)).at[0].set(0.0)
-    vectors = first + spread * noise
+    vectors = first[None, :] + spread * noise
 
     def iterate(start: _Start, _: None) -> tuple[_Start, tuple[Array, Array]]:
         value, slope = evaluate(start.vector)

@@ -1,0 +1,128 @@
+"""The command line as a user meets it: what it writes, and one sentence with exit code 2 for what it cannot do."""
+
+import json
+
+import pytest
+
+from experiments import cli
+
+QUICK = ["--duration", "12", "--dt", "4e-3"]
+
+
+def run(capsys, *words):
+    """Run the command in this process; return its exit code and what it printed."""
+    try:
+        code = cli.main(list(words))
+    except SystemExit as stop:  # tyro's own parsing errors
+        code = stop.code
+    printed = capsys.readouterr()
+    return code, printed.out, printed.err
+
+
+def test_simulate_writes_picture_metrics_and_manifest(capsys, tmp_path):
+    code, out, _ = run(capsys, "simulate", "planar", *QUICK, "--out", str(tmp_path / "new" / "folder"))
+    folder = tmp_path / "new" / "folder"
+    assert code == 0
+    assert sorted(p.name for p in folder.iterdir()) == ["manifest.json", "metrics.json", "simulation.png"]
+    numbers = json.loads((folder / "metrics.json").read_text())["simulation"]
+    assert numbers["status"] == "ok"
+    # Table 3 settles in 6.36 s (time step 4 ms here).
+    assert numbers["settling_time_s"] == pytest.approx(6.36, abs=0.01)
+    assert "settling_time_s" in out
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["dtype"] == "float64"
+    assert manifest["robot"]["pendulum_mass"] == 2.05
+    assert manifest["gains"]["c1"] == 0.5501
+    assert manifest["versions"]["jax"]
+
+
+def test_every_robot_field_gain_and_setting_reaches_the_simulation(capsys, tmp_path):
+    words = ["--robot.pendulum-mass", "2.5", "--plant.shell-mass", "1.3", "--c1", "0.7", "--slope-deg", "5", "--travel", "4"]
+    words += ["--torque-limit", "4", "--control-period", "8e-3", "--smoothing", "0", "--method", "dopri5"]
+    code, _, err = run(capsys, "simulate", "planar", *QUICK, *words, "--out", str(tmp_path))
+    assert code == 0, err
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    assert manifest["robot"]["pendulum_mass"] == 2.5
+    assert manifest["plant"] == manifest["robot"] | {"shell_mass": 1.3}
+    assert manifest["gains"]["c1"] == 0.7
+    assert manifest["settings"]["slope_deg"] == 5.0
+    assert manifest["settings"]["method"] == "dopri5"
+
+
+def test_tune_writes_gains_that_load_again(capsys, tmp_path):
+    import tuning
+
+    words = ["--iterations", "2", "--starts", "1", "--duration", "4", "--frozen", "k", "--no-progress"]
+    code, out, err = run(capsys, "tune", "planar", *words, "--out", str(tmp_path))
+    assert code == 0, err
+    result = tuning.TuningResult.load(tmp_path / "tuning.json")
+    assert result.gains.k == 0.6769
+    assert result.gains.c1 != 0.5501
+    assert f"{result.gains.c1:.4f}" in out
+    assert (tmp_path / "tuning.png").stat().st_size > 10_000
+
+
+def test_bench_writes_steps_per_second(capsys, tmp_path):
+    code, out, err = run(capsys, "bench", "--case", "planar", "--lanes", "16", "--steps", "20", "--out", str(tmp_path))
+    assert code == 0, err
+    planar = json.loads((tmp_path / "metrics.json").read_text())["planar"]
+    assert planar["float64"]["steps_per_second"] > 0.0
+    assert planar["float32"]["steps_per_second"] > 0.0
+    assert "diffrax" in out
+
+
+FAULTS = [
+    (["simulate", "planar", "--robot.shell-mass", "-1"], "robot.shell_mass = -1"),
+    (["simulate", "planar", "--robot.gravity", "nan"], "robot.gravity = nan"),
+    (["simulate", "planar", "--robot.pendulum-length", "0.2"], "shell_radius = 0.15"),
+    (["simulate", "planar", "--robot.name", "nobody"], "set_a"),
+    (["simulate", "planar", "--slope-deg", "25"], "18.76 deg"),
+    (["simulate", "planar", "--slope-deg", "120"], "slope_deg = 120"),
+    (["simulate", "planar", "--c2", "0"], "gains.c2 = 0"),
+    (["simulate", "planar", "--z-u", "1"], "gains.z_u = 1"),
+    (["simulate", "planar", "--dt", "0"], "dt = 0"),
+    (["simulate", "planar", "--dt", "50"], "dt = 50 s exceeds duration"),
+    (["simulate", "planar", "--travel", "0"], "travel = 0"),
+    (["simulate", "planar", "--convention", "wrong"], "corrected, printed"),
+    (["simulate", "planar", "--method", "euler"], "rk4"),
+    (["simulate", "planar", "--initial-state", "0", "0", "nan", "0"], "initial_state"),
+    (["tune", "planar", "--frozen", "c3"], "c3"),
+    (["tune", "planar", "--swing-weight", "-1"], "swing_weight = -1"),
+    (["tune", "planar", "--gradient", "sideways"], "forward, reverse"),
+    (["reproduce", "fig9"], "fig4"),
+    (["bench", "--case", "cubic"], "planar"),
+    (["bench", "--lanes", "0"], "lanes = 0"),
+]
+
+
+@pytest.mark.parametrize(("words", "named"), FAULTS, ids=[" ".join(words) for words, _ in FAULTS])
+def test_bad_input_is_one_sentence_and_code_two(capsys, tmp_path, words, named):
+    code, out, err = run(capsys, *words, "--out", str(tmp_path))
+    assert code == 2
+    assert err.count("\n") == 1
+    assert named in err
+    assert "Traceback" not in out + err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_written_is_named(capsys, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    code, _, err = run(capsys, "simulate", "planar", "--out", str(tmp_path / "file" / "out"))
+    assert code == 2
+    assert "cannot be written" in err
+    assert err.count("\n") == 1
+
+
+def test_a_state_of_the_wrong_length_and_an_unknown_command_end_with_code_two(capsys, tmp_path):
+    code, _, _ = run(capsys, "simulate", "planar", "--initial-state", "1", "2", "3", "--out", str(tmp_path))
+    assert code == 2
+    code, _, err = run(capsys, "dance")
+    assert code == 2
+    assert "'dance' is no command" in err
+
+
+def test_overview_names_every_command(capsys):
+    code, out, _ = run(capsys, "--help")
+    assert code == 0
+    for name in cli.COMMANDS:
+        assert name in out
