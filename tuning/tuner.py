@@ -165,7 +165,7 @@ def tune(
         return after, (value, jnp.sqrt(jnp.sum(slope * slope)))
 
     run = over_lanes(lambda start: jax.lax.scan(iterate, start, None, length=chunk))
-    batch = _Start(vectors, jax.vmap(optimiser.init)(vectors), vectors, jnp.full((starts,), jnp.inf))
+    batch = _Start(vectors, jax.vmap(optimiser.init)(vectors), vectors, jnp.full((starts,), jnp.inf, float))
     history: list[tuple[np.ndarray, np.ndarray]] = []
     status = "finished"
     with tqdm(total=iterations, desc="tuning", unit="step", disable=not progress) as bar:

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 # The working set of a planar step on one block of lanes stays within the second-level cache of a core.
 BLOCK = 512
@@ -30,6 +30,7 @@ def over_lanes(function: Callable[..., Any], block: int = BLOCK) -> Callable[...
         It raises ValueError when the leading axes differ or there are no lanes.
     """
     mesh = Mesh(np.array(jax.local_devices()), ("lane",))
+    spec = PartitionSpec("lane")
     on_cpu = mesh.devices.flat[0].platform == "cpu"
 
     @partial(jax.jit, static_argnames="size", compiler_options=_CPU_OPTIONS if on_cpu else None)
@@ -41,14 +42,15 @@ def over_lanes(function: Callable[..., Any], block: int = BLOCK) -> Callable[...
             results = jax.lax.map(lambda block: jax.vmap(function)(*block), blocks)
             return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
 
-        spec = PartitionSpec("lane")
         return jax.shard_map(shard, mesh=mesh, in_specs=(spec,), out_specs=spec, check_vma=False)(arguments)
 
     def call(*arguments: Any) -> Any:
         lanes = _lane_count(arguments)
         size = min(block, -(-lanes // mesh.size))
         padding = -lanes % (size * mesh.size)
-        padded = jax.tree.map(lambda leaf: _repeat_last(jnp.asarray(leaf), padding), arguments)
+        padded = jax.tree.map(lambda leaf: _repeat_last(_strong(leaf), padding), arguments)
+        # Placed alike whatever made them, so that results fed back in do not compile anew.
+        padded = jax.device_put(padded, NamedSharding(mesh, spec))
         return jax.tree.map(lambda leaf: leaf[:lanes], batched(padded, size))
 
     return call
@@ -61,6 +63,10 @@ def _lane_count(arguments: tuple[Any, ...]) -> int:
             f"the leading axes of the batched arguments are {sorted(counts)}; type one positive number of lanes for all"
         )
     return counts.pop()[0]
+
+
+def _strong(leaf: Any) -> jax.Array:
+    return jnp.asarray(leaf, jnp.result_type(leaf))
 
 
 def _repeat_last(leaf: jax.Array, count: int) -> jax.Array:
