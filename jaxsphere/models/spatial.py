@@ -27,14 +27,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from jaxsphere.checks import is_concrete, require_choice
 from jaxsphere.command import Status, code
-from jaxsphere.linear_algebra import Vector3, cross, solve_positive_definite, sum_of_products
+from jaxsphere.linear_algebra import Vector3, cross, dot, solve_positive_definite, sum_of_products
 from jaxsphere.models.spatial_kinematics import CONVENTIONS, IS_VELOCITY, STATE_NAMES, STATE_UNITS, State
 from jaxsphere.numerics import Real, evaluate_once, sincos
 from jaxsphere.robot import Robot
@@ -64,6 +63,7 @@ SINGULAR_LEAN = 0.05
 
 PSI, THETA, PHI, BETA1, BETA2 = range(5)
 Row = dict[int, Real]
+Pair = tuple[Real, Real]
 
 
 class Lumped(NamedTuple):
@@ -136,61 +136,92 @@ def input_columns(convention: str = "corrected") -> tuple[tuple[float, ...], tup
     return (0.0, 0.0, 1.0, reaction, 0.0), (0.0, 0.0, 0.0, 0.0, 1.0)
 
 
+class _Motion(NamedTuple):
+    """Angular velocities of the frames and what their time derivatives are while v stays constant; rad/s and rad/s2."""
+
+    body: Vector3  # of B, in B
+    body_drift: Vector3
+    gimbal: Vector3  # of C, in C
+    gimbal_drift: Vector3
+    pendulum: Vector3  # of D, in D
+    pendulum_drift: tuple[Real, Real]  # its y and z entries
+
+
 def _add(*terms: tuple[Real, Row]) -> Row:
     columns = sorted({column for _, row in terms for column in row})
     return {column: sum_of_products(*((factor, row.get(column, 0.0)) for factor, row in terms)) for column in columns}
 
 
-def _pendulum_from_slope(angles: _Angles) -> tuple[Vector3, Vector3, Vector3]:
+def _slope_in_pendulum(angles: _Angles) -> tuple[Vector3, Vector3, Vector3]:
+    """Rotation that takes components in P to components in D, by rows."""
     s_theta, c_theta, s_gimbal, c_gimbal, s_pendulum, c_pendulum, _, _ = angles
+    forward, side = c_gimbal * c_theta, c_gimbal * s_theta
     return (
-        (
-            c_pendulum * c_gimbal * c_theta - s_pendulum * s_theta,
-            c_pendulum * s_gimbal,
-            -c_pendulum * c_gimbal * s_theta - s_pendulum * c_theta,
-        ),
+        (c_pendulum * forward - s_pendulum * s_theta, c_pendulum * s_gimbal, -c_pendulum * side - s_pendulum * c_theta),
         (-s_gimbal * c_theta, c_gimbal, s_gimbal * s_theta),
-        (
-            s_pendulum * c_gimbal * c_theta + c_pendulum * s_theta,
-            s_pendulum * s_gimbal,
-            c_pendulum * c_theta - s_pendulum * c_gimbal * s_theta,
-        ),
+        (s_pendulum * forward + c_pendulum * s_theta, s_pendulum * s_gimbal, c_pendulum * c_theta - s_pendulum * side),
     )
 
 
-def _center_rows(lumped: Lumped, angles: _Angles, convention: str) -> tuple[Row, Row]:
-    """Velocity of the centre in P, m/s."""
-    radius, s_theta = lumped.radius, angles.s_theta
-    if convention == "printed":
-        s_double = 2.0 * angles.s_psi * angles.c_psi
-        c_double = angles.c_psi * angles.c_psi - angles.s_psi * angles.s_psi
-        return (
-            {THETA: -radius * s_double, PHI: radius * c_double * s_theta},
-            {THETA: -radius * c_double, PHI: -radius * s_double * s_theta},
-        )
-    return {THETA: radius}, {PHI: -radius * s_theta}
-
-
-def _rows(lumped: Lumped, angles: _Angles, convention: str) -> tuple[Row, ...]:
-    """Speeds that carry momentum: centre in P (2), shell in B (3), gimbal in C (3), bob in D (3)."""
+def _motion(angles: _Angles, velocity: Sequence[Real]) -> _Motion:
     s_theta, c_theta, s_gimbal, c_gimbal, s_pendulum, c_pendulum, _, _ = angles
-    turn_x, turn_y, turn_z = _pendulum_from_slope(angles)
-    center_x, center_y = _center_rows(lumped, angles, convention)
-    length = lumped.length
-    about_y: Row = {PSI: turn_y[2], THETA: turn_y[1], BETA2: 1.0}
-    about_z: Row = {PSI: turn_z[2], THETA: turn_z[1], BETA1: c_pendulum}
+    psi_rate, theta_rate, _, beta1_rate, beta2_rate = velocity
+    bx, by, bz = -psi_rate * s_theta, theta_rate, psi_rate * c_theta
+    bx_drift, bz_drift = -bz * theta_rate, bx * theta_rate
+    cx, cy, cz = c_gimbal * bx + s_gimbal * by, c_gimbal * by - s_gimbal * bx, bz + beta1_rate
+    cx_drift, cy_drift = c_gimbal * bx_drift + beta1_rate * cy, -s_gimbal * bx_drift - beta1_rate * cx
+    dx, dy, dz = c_pendulum * cx - s_pendulum * cz, cy + beta2_rate, s_pendulum * cx + c_pendulum * cz
+    dz_drift = s_pendulum * cx_drift + c_pendulum * bz_drift + beta2_rate * dx
+    return _Motion(
+        body=(bx, by, bz),
+        body_drift=(bx_drift, 0.0, bz_drift),
+        gimbal=(cx, cy, cz),
+        gimbal_drift=(cx_drift, cy_drift, bz_drift),
+        pendulum=(dx, dy, dz),
+        pendulum_drift=(cy_drift, dz_drift),
+    )
+
+
+def _mirror(angles: _Angles) -> tuple[tuple[Real, Real], tuple[Real, Real]]:
+    """The printed constraints as a reflection of the true centre's motion, in P."""
+    s_double = 2.0 * angles.s_psi * angles.c_psi
+    c_double = angles.c_psi * angles.c_psi - angles.s_psi * angles.s_psi
+    return (-s_double, -c_double), (-c_double, s_double)
+
+
+def _center(lumped: Lumped, angles: _Angles, velocity: Sequence[Real], convention: str) -> tuple[tuple[Row, Row], Pair]:
+    """Rows of the centre's velocity in P, and its acceleration in P while v stays constant, m/s2."""
+    psi_rate, theta_rate, spin_rate, _, _ = velocity
+    radius, s_theta = lumped.radius, angles.s_theta
+    rows: tuple[Row, Row] = {THETA: radius}, {PHI: -radius * s_theta}
+    drift = (
+        psi_rate * radius * s_theta * spin_rate,
+        psi_rate * radius * theta_rate - radius * angles.c_theta * theta_rate * spin_rate,
+    )
+    if convention == "printed":
+        (a, b), (c, d) = _mirror(angles)
+        x, y = drift
+        return (_add((a, rows[0]), (b, rows[1])), _add((c, rows[0]), (d, rows[1]))), (a * x + b * y, c * x + d * y)
+    return rows, drift
+
+
+def _rows(lumped: Lumped, angles: _Angles, turn: tuple[Vector3, ...], center: tuple[Row, Row]) -> tuple[Row, ...]:
+    """Speeds that carry momentum, J by rows: centre in P (2), shell in B (3), gimbal in C (3), bob in D (3)."""
+    s_theta, c_theta, s_gimbal, c_gimbal, _, c_pendulum, _, _ = angles
+    (x, y), length = center, lumped.length
+    about_y: Row = {PSI: turn[1][2], THETA: turn[1][1], BETA2: 1.0}
+    about_z: Row = {PSI: turn[2][2], THETA: turn[2][1], BETA1: c_pendulum}
     return (
-        center_x,
-        center_y,
+        *center,
         {PSI: -s_theta},
         {THETA: 1.0},
         {PSI: c_theta, PHI: 1.0},
         {PSI: -c_gimbal * s_theta, THETA: s_gimbal},
         {PSI: s_gimbal * s_theta, THETA: c_gimbal},
         {PSI: c_theta, BETA1: 1.0},
-        _add((turn_x[0], center_x), (turn_x[1], center_y)),
-        _add((turn_y[0], center_x), (turn_y[1], center_y), (length, about_z)),
-        _add((turn_z[0], center_x), (turn_z[1], center_y), (-length, about_y)),
+        _add((turn[0][0], x), (turn[0][1], y)),
+        _add((turn[1][0], x), (turn[1][1], y), (length, about_z)),
+        _add((turn[2][0], x), (turn[2][1], y), (-length, about_y)),
     )
 
 
@@ -203,62 +234,54 @@ def _weights(lumped: Lumped) -> tuple[Real, ...]:
     )
 
 
-def _frame_terms(lumped: Lumped, angles: _Angles, velocity: Sequence[Real], speeds: Sequence[Real]) -> tuple[Real, ...]:
-    """What the turning of the frames and gravity add to J' v, in the rows' order, times mass or moment."""
-    psi_rate, theta_rate, _, beta1_rate, beta2_rate = velocity
-    turn_x, turn_y, turn_z = _pendulum_from_slope(angles)
-    gravity = (-lumped.along_slope * angles.c_psi, lumped.along_slope * angles.s_psi, -lumped.into_slope)
-    center = cross((0.0, 0.0, psi_rate), (speeds[0], speeds[1], 0.0))
+def _forces(
+    lumped: Lumped, motion: _Motion, turn: tuple[Vector3, ...], spin_rate: Real, lift: Vector3
+) -> tuple[Real, ...]:
+    """Rates of momentum while v stays constant, without gravity, in the order of the rows; N and N m.
 
-    s1, s2, s3 = speeds[2:5]
-    shell_momentum = (lumped.shell_transverse * s1, lumped.shell_transverse * s2, lumped.shell_axial * s3)
-    shell = cross((s1, s2, angles.c_theta * psi_rate), shell_momentum)
-
-    g1, g2, g3 = speeds[5:8]
-    moments = lumped.gimbal_inertia
-    gimbal = cross((g1, g2, g3), (moments[0] * g1, moments[1] * g2, moments[2] * g3))
-
-    turning = (
-        turn_x[2] * psi_rate + turn_x[1] * theta_rate - angles.s_pendulum * beta1_rate,
-        turn_y[2] * psi_rate + turn_y[1] * theta_rate + beta2_rate,
-        turn_z[2] * psi_rate + turn_z[1] * theta_rate + angles.c_pendulum * beta1_rate,
+    Args:
+        lift: acceleration of the centre minus gravity, in P, m/s2. The other arguments as above.
+    """
+    bx, by, bz = motion.body
+    transverse, axial = lumped.shell_transverse, lumped.shell_axial
+    tumbling, spinning = transverse * bz, axial * (bz + spin_rate)
+    shell = (
+        transverse * motion.body_drift[0] + by * (spinning - tumbling),
+        transverse * motion.body_drift[1] - bx * (spinning - tumbling),
+        axial * motion.body_drift[2],
     )
-    bob = cross(turning, (speeds[8], speeds[9], speeds[10]))
-    weight = tuple(sum_of_products(*zip(turn, gravity, strict=True)) for turn in (turn_x, turn_y, turn_z))
-    return (
-        *(lumped.central_mass * (a - g) for a, g in zip(center[:2], gravity[:2], strict=True)),
-        *shell,
-        *gimbal,
-        *(lumped.pendulum_mass * (a - g) for a, g in zip(bob, weight, strict=True)),
+    momentum = tuple(moment * rate for moment, rate in zip(lumped.gimbal_inertia, motion.gimbal, strict=True))
+    turning = cross(motion.gimbal, (momentum[0], momentum[1], momentum[2]))
+    gimbal = (
+        moment * rate + torque
+        for moment, rate, torque in zip(lumped.gimbal_inertia, motion.gimbal_drift, turning, strict=True)
     )
+    dx, dy, dz = motion.pendulum
+    dy_drift, dz_drift = motion.pendulum_drift
+    swing = (-dy * dy - dz * dz, dz_drift + dx * dy, dx * dz - dy_drift)
+    bob = (lumped.pendulum_mass * (dot(axis, lift) + lumped.length * a) for axis, a in zip(turn, swing, strict=True))
+    return (lumped.central_mass * lift[0], lumped.central_mass * lift[1], *shell, *gimbal, *bob)
 
 
 def reduced(lumped: Lumped, state: State, convention: str = "corrected") -> Reduced:
     """Assemble M and h of C^T (M C v' + M C' v + N) = C^T B tau by components, Eq. (45)."""
     _, _, psi, theta, _, beta1, beta2, *velocity = state
     angles = _Angles(*sincos(theta), *sincos(beta1), *sincos(beta2), *sincos(psi))
-    psi_rate, theta_rate, _, beta1_rate, beta2_rate = velocity
-    turning = _Angles(
-        *(angles.c_theta * theta_rate, -angles.s_theta * theta_rate),
-        *(angles.c_gimbal * beta1_rate, -angles.s_gimbal * beta1_rate),
-        *(angles.c_pendulum * beta2_rate, -angles.s_pendulum * beta2_rate),
-        *(angles.c_psi * psi_rate, -angles.s_psi * psi_rate),
+    turn = _slope_in_pendulum(angles)
+    center, drift = _center(lumped, angles, velocity, convention)
+    rows = _rows(lumped, angles, turn, center)
+    lift = (
+        drift[0] + lumped.along_slope * angles.c_psi,
+        drift[1] - lumped.along_slope * angles.s_psi,
+        lumped.into_slope,
     )
-
-    def speeds_of(at: _Angles) -> tuple[list[Real], tuple[Row, ...]]:
-        rows = _rows(lumped, at, convention)
-        return [jnp.asarray(sum_of_products(*((row[j], velocity[j]) for j in row))) for row in rows], rows
-
-    speeds, drifts, rows = jax.jvp(speeds_of, (angles,), (turning,), has_aux=True)
-    weights = _weights(lumped)
-    extra = _frame_terms(lumped, angles, velocity, speeds)
-    forces = [weight * drift + term for weight, drift, term in zip(weights, drifts, extra, strict=True)]
-    weighted = [{j: weight * row[j] for j in row} for weight, row in zip(weights, rows, strict=True)]
+    forces = [evaluate_once(f) for f in _forces(lumped, _motion(angles, velocity), turn, velocity[PHI], lift)]
+    weighted = [{j: weight * row[j] for j in row} for weight, row in zip(_weights(lumped), rows, strict=True)]
 
     def entry(i: int, j: int) -> Real:
         return sum_of_products(*((heavy.get(i, 0.0), row.get(j, 0.0)) for heavy, row in zip(weighted, rows, strict=True)))
 
-    center_x, center_y = speeds[:2]
+    center_x, center_y = (sum_of_products(*((row[j], velocity[j]) for j in row)) for row in center)
     return Reduced(
         inertia=tuple(tuple(entry(i, j) for j in range(i + 1)) for i in range(5)),
         bias=tuple(sum_of_products(*((row.get(i, 0.0), f) for row, f in zip(rows, forces, strict=True))) for i in range(5)),
