@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import jax.numpy as jnp
 from jax import Array
 
 from jaxsphere.numerics import Real, evaluate_once
@@ -82,5 +83,5 @@ def _substitute(rest: list[list[Real]], inverses: list[Real], side: list[Real]) 
     solution: list[Array] = []
     for row, inverse, value in zip(rest, inverses, side, strict=True):
         known = dot(row[: len(solution)], solution)
-        solution.append(evaluate_once((value - known) * inverse))
+        solution.append(evaluate_once(jnp.asarray((value - known) * inverse)))
     return tuple(solution)

@@ -98,12 +98,10 @@ def derivative(robot, slope, state, torque, convention="corrected"):
 
 
 @jax.jit
-def constraint_force(robot, slope, state, torque):
-    """Lambda (2,), N, from the first two rows of the unreduced equations."""
-    q, v = state[:7], state[7:]
-    rates = derivative(robot, slope, state, torque)
+def constraint_force(robot, slope, state, rates):
+    """Lambda (2,), N, from the first two rows of the unreduced equations; `rates` is `derivative` at `state`."""
+    q, v, q_rate = state[:7], state[7:], rates[:7]
     free = null_space(robot, q, "corrected")
-    q_rate = rates[:7]
     q_acceleration = free @ rates[7:] + rate(lambda p: null_space(robot, p, "corrected"), q, q_rate) @ v
     inertia, nonlinear = euler_lagrange(robot, slope, q, q_rate)
     return (inertia @ q_acceleration + nonlinear)[:2]

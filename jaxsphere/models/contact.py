@@ -45,7 +45,10 @@ def contact(robot: Robot, slope: Real, state: State, torque: Sequence[Array]) ->
 def constraint_force(
     robot: Robot, slope: Real, state: State, torque: Sequence[Array], convention: str = "corrected"
 ) -> tuple[Array, Array]:
-    """Multipliers lambda (N) of M q'' + N = A^T lambda + B tau, Eq. (40): the friction on the sphere, since A1 is the identity."""
+    """Multipliers lambda of M q'' + N = A^T lambda + B tau, N, Eq. (40).
+
+    They are the friction on the sphere, because A1 is the identity.
+    """
     x, y, _ = _contact_force(robot, slope, state, torque, convention)
     return x, y
 
