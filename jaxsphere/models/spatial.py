@@ -45,10 +45,12 @@ __all__ = [
     "IS_VELOCITY",
     "STATE_NAMES",
     "STATE_UNITS",
+    "Affine",
     "Lumped",
     "Reduced",
     "State",
     "accelerations",
+    "affine",
     "check_spatial_robot",
     "derivative",
     "derivative_components",
@@ -70,6 +72,14 @@ class Reduced(NamedTuple):
     inertia: tuple[tuple[Real, ...], ...]  # lower triangle of M, kg m2
     bias: tuple[Real, ...]  # h, N m
     center: tuple[Real, Real]  # x', y', m/s
+
+
+class Affine(NamedTuple):
+    """v' = drift + drive tau1 + tilt tau2; each entry is (5), rad/s2 and 1/(kg m2)."""
+
+    drift: tuple[Array, ...]
+    drive: tuple[Array, ...]
+    tilt: tuple[Array, ...]
 
 
 def check_spatial_robot(robot: Robot, name: str = "robot") -> Robot:
@@ -130,6 +140,14 @@ def accelerations(terms: Reduced, torque: Sequence[Array], convention: str = "co
     right = [evaluate_once(jnp.asarray(force - bias)) for force, bias in zip(applied, terms.bias, strict=True)]
     (solution,) = solve_positive_definite(terms.inertia, right)
     return solution
+
+
+def affine(lumped: Lumped, state: State, convention: str = "corrected") -> Affine:
+    """Solve the reduced dynamics for v', affine in the torques: f2 and the columns of G of (46)."""
+    terms = reduced(lumped, state, convention)
+    drive, tilt = input_columns(convention)
+    right = [evaluate_once(jnp.asarray(-bias)) for bias in terms.bias]
+    return Affine(*solve_positive_definite(terms.inertia, right, drive, tilt))
 
 
 def derivative_components(
