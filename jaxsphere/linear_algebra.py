@@ -43,11 +43,11 @@ def cross(left: Vector3, right: Vector3) -> Vector3:
     return b * z - c * y, c * x - a * z, a * y - b * x
 
 
-def solve_pair(matrix: tuple[tuple[Real, Real], tuple[Real, Real]], right: tuple[Real, Real]) -> tuple[Real, Real]:
+def solve_pair(matrix: tuple[tuple[Real, Real], tuple[Real, Real]], right: tuple[Real, Real]) -> tuple[Array, Array]:
     """Solve two equations in two unknowns by the formula; the result is not finite where the determinant is zero."""
     (a, b), (c, d) = matrix
     x, y = right
-    inverse = 1.0 / (a * d - b * c)
+    inverse = jnp.reciprocal(a * d - b * c)
     return (d * x - b * y) * inverse, (a * y - c * x) * inverse
 
 

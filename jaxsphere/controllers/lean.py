@@ -3,6 +3,7 @@
     d       unit vector from the centre to the bob, in O; d_z < 0 below the centre
     a       acceleration of the centre asked for, (x, y), m/s2
     M       total mass, kg
+    I_s     moment of the shell about its spin axis, kg m2
 
 With d held fixed in space, the angular momentum about the contact point gives
 
@@ -40,8 +41,8 @@ class Lean(NamedTuple):
 class Joints(NamedTuple):
     """How far the joints are from a lean, wrapped to (-pi, pi], and the rates that hold the lean; rad and rad/s."""
 
-    error: Pair  # beta* - beta
-    rate: Pair  # beta*'
+    error: tuple[Array, Array]  # beta* - beta
+    rate: tuple[Array, Array]  # beta*'
 
 
 def balancing_lean(lumped: Lumped, demand: Pair) -> Lean:
@@ -66,7 +67,7 @@ def balancing_lean(lumped: Lumped, demand: Pair) -> Lean:
     down = -(half + root) / square
     across, across_y = still + down * lowered, still_y + down * lowered_y
     norm = jnp.sqrt(across * across + across_y * across_y + down * down)
-    return Lean((across / norm, across_y / norm, down / norm), margin)
+    return Lean((across / norm, across_y / norm, down / norm), jnp.asarray(margin))
 
 
 def joints_to(state: State, direction: Vector3) -> Joints:

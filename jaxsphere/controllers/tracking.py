@@ -3,8 +3,8 @@
 The output y = (x, y) is the centre of the sphere. An outer loop with gains k1..k4 asks for its acceleration; what differs is
 how that is turned into two torques (N m):
 
-    pendulum_attitude   beyond the paper, the default: limit the demand, lean the pendulum so that gravity gives it (`lean`), and
-                        control the two joints. Works on the robot.
+    pendulum_attitude   beyond the paper, the default: limit the demand, lean the pendulum so that gravity gives it (`lean`),
+                        and control the two joints. Works on the robot.
     exact               the torques that give the demand at once. The zero dynamics are unstable: the pendulum leaves.
     pseudo_inverse      (47) as printed, with (53) read as a pseudo-inverse. Unstable.
     ideal               (48) taken literally: the five accelerations are the input and no torque exists. Not a robot.
@@ -44,7 +44,10 @@ _OUTPUT_PAIR, _JOINT_PAIR = (THETA, PHI), (BETA1, BETA2)
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class TrackingGains:
-    """Gains of the outer loop; the defaults are Table 4. k1, k3 (1/s2) act on the errors of x and y, k2, k4 (1/s) on their rates."""
+    """Gains of the outer loop; the defaults are Table 4.
+
+    k1, k3 (1/s2): on the errors of x and y. k2, k4 (1/s): on their rates.
+    """
 
     k1: Real = 49.0
     k2: Real = 14.0
@@ -66,10 +69,12 @@ class Signals(NamedTuple):
     """What the controller computes on the way to its torques; also the diagnostics of a rollout."""
 
     error: Pair  # e1, e2, m
-    demand: Pair  # acceleration asked of the centre after the limit, m/s2
-    lean: Lean
+    demand: Pair  # acceleration asked of the centre by (58), m/s2
+    limited: Pair  # the demand that is realised, m/s2
+    lean: Lean  # of the pendulum, that would give the limited demand
     joints: Joints
-    determinant: Array  # of the two equations solved for the torques, over its value upright; positive while solvable
+    determinant: Array  # of the two equations solved for the torques, positive while they can be, 1/(kg2 m4)
+    torque: tuple[Array, ...]  # before the torque limit, N m; five accelerations, rad/s2, for "ideal"
 
 
 def check_gains(gains: TrackingGains | AttitudeGains, name: str = "gains") -> TrackingGains | AttitudeGains:
@@ -120,7 +125,7 @@ def decoupling_determinant(robot: Robot, slope: Real, state: State) -> Array:
     return -(radius**2) * sincos(state[3])[0] * _determinant(spatial.affine(lumped, state), _OUTPUT_PAIR)
 
 
-def assigned_accelerations(lumped: Lumped, state: State, demand: Pair) -> Pair:
+def assigned_accelerations(lumped: Lumped, state: State, demand: Pair) -> tuple[Array, Array]:
     """Accelerations (theta'', phi'') that give the centre the demanded one, rad/s2: u = Phi^+ (v - Phi' v), Eq. (53).
 
     Differs from the paper: the pseudo-inverse of Phi stands for its inverse; u is zero on psi, beta1 and beta2.
@@ -137,7 +142,7 @@ def ideal_derivative(robot: Robot, state: State, accelerations: State) -> tuple[
     return (*spatial_kinematics.coordinate_rates(robot, state), *accelerations)
 
 
-def pseudo_inverse_torque(terms: Affine, accelerations: tuple[Real, ...]) -> Pair:
+def pseudo_inverse_torque(terms: Affine, accelerations: tuple[Real, ...]) -> tuple[Array, Array]:
     """Torques G^+ (u - f2) that come nearest to the five accelerations u (rad/s2), N m, Eq. (47)."""
     missing = [wanted - drift for wanted, drift in zip(accelerations, terms.drift, strict=True)]
     cross_term = dot(terms.drive, terms.tilt)
@@ -145,7 +150,7 @@ def pseudo_inverse_torque(terms: Affine, accelerations: tuple[Real, ...]) -> Pai
     return solve_pair(normal, (dot(terms.drive, missing), dot(terms.tilt, missing)))
 
 
-def assigning_torque(terms: Affine, pair: tuple[int, int], wanted: Pair) -> Pair:
+def assigning_torque(terms: Affine, pair: tuple[int, int], wanted: Pair) -> tuple[Array, Array]:
     """Torques that give the two accelerations of v numbered `pair` the wanted values (rad/s2), N m."""
     i, j = pair
     matrix = (terms.drive[i], terms.tilt[i]), (terms.drive[j], terms.tilt[j])
@@ -157,10 +162,13 @@ def _determinant(terms: Affine, pair: tuple[int, int]) -> Array:
     return terms.drive[i] * terms.tilt[j] - terms.tilt[i] * terms.drive[j]
 
 
-def _upright_determinant(lumped: Lumped, pair: tuple[int, int]) -> Array:
-    state = [jnp.zeros(())] * 12
-    state[3] = jnp.asarray(0.5 * jnp.pi)
-    return _determinant(spatial.affine(lumped, state), pair)
+def _upright_sign(lumped: Lumped, pair: tuple[int, int]) -> Real:
+    """Sign of `_determinant` with the robot upright and the pendulum normal to the slope, in closed form."""
+    if pair == _JOINT_PAIR:
+        return -1.0
+    coupling = lumped.pendulum_mass * lumped.length * (lumped.radius - lumped.length)
+    _, about_y, about_z = lumped.gimbal_inertia
+    return jnp.sign((coupling - about_y) * (coupling - about_z))
 
 
 def joint_accelerations(inner: AttitudeGains, joints: Joints, rates: Pair) -> Pair:
@@ -171,13 +179,40 @@ def joint_accelerations(inner: AttitudeGains, joints: Joints, rates: Pair) -> Pa
     )
 
 
-def demanded(
-    gains: TrackingGains, inner: AttitudeGains, reference: Reference, robot: Robot, state: State, realisation: str
-) -> tuple[Pair, Pair]:
-    """Errors (m) and demand (m/s2), limited for `pendulum_attitude` only."""
+def signals(
+    lumped: Lumped,
+    gains: TrackingGains,
+    inner: AttitudeGains,
+    reference: Reference,
+    state: State,
+    realisation: str = "pendulum_attitude",
+) -> Signals:
+    """Evaluate the law at one state.
+
+    Args:
+        lumped: robot and slope that the controller believes in. gains, inner: the gains. reference: desired motion at this
+        instant. state: 12 components.
+    """
+    velocity = spatial_momentum.center_velocity(lumped, state)
     error = tracking_error(reference, state)
-    demand = demanded_acceleration(gains, reference, error, spatial_kinematics.rolling_velocity(robot, state))
-    return error, limit(demand, inner.a_max) if realisation == "pendulum_attitude" else demand
+    demand = demanded_acceleration(gains, reference, error, velocity)
+    attitude = realisation == "pendulum_attitude"
+    limited = limit(demand, inner.a_max) if attitude else demand
+    lean = balancing_lean(lumped, limited)
+    joints = joints_to(state, lean.direction)
+    terms = spatial.affine(lumped, state)
+    about_theta, about_phi = assigned_accelerations(lumped, state, limited)
+    pair, wanted = _OUTPUT_PAIR, (about_theta, about_phi)
+    if attitude:
+        pair, wanted = _JOINT_PAIR, joint_accelerations(inner, joints, (state[10], state[11]))
+    zero = jnp.zeros_like(about_theta)
+    if realisation == "ideal":
+        torque = zero, about_theta, about_phi, zero, zero
+    elif realisation == "pseudo_inverse":
+        torque = pseudo_inverse_torque(terms, (zero, about_theta, about_phi, zero, zero))
+    else:
+        torque = assigning_torque(terms, pair, wanted)
+    return Signals(error, demand, limited, lean, joints, _determinant(terms, pair) * _upright_sign(lumped, pair), torque)
 
 
 def law(
@@ -190,7 +225,7 @@ def law(
 ) -> Callable[[Array, State, tuple[Array, ...]], Command]:
     """Build the control law (time, state, memory) -> Command; it has no memory.
 
-    The torques are drive and tilt (N m). For "ideal" they are the five accelerations (rad/s2) that `ideal_derivative` takes. The
+    The torques are drive and tilt (N m). For "ideal" they are five accelerations (rad/s2), the input of `ideal_derivative`. The
     status is INFEASIBLE_LEAN on a slope past the bound (4) and SINGULAR_DECOUPLING where no torques give what is asked for.
 
     Args:
@@ -200,36 +235,19 @@ def law(
     require_choice("realisation", realisation, REALISATIONS)
     inner = AttitudeGains() if inner is None else inner
     lumped = spatial_momentum.lump(robot, slope)
-    pair = _JOINT_PAIR if realisation == "pendulum_attitude" else _OUTPUT_PAIR
-    upright = jnp.sign(_upright_determinant(lumped, pair))
     holdable = balancing_lean(lumped, (0.0, 0.0)).margin >= 0.0
-    resting = jnp.where(holdable, code(Status.OK), code(Status.INFEASIBLE_LEAN))
+    resting = jnp.where(holdable | (realisation == "ideal"), code(Status.OK), code(Status.INFEASIBLE_LEAN))
 
     def control(time: Array, state: State, memory: tuple[Array, ...]) -> Command:
         del memory
-        _, demand = demanded(gains, inner, reference(time), robot, state, realisation)
-        if realisation == "ideal":
-            zero = jnp.zeros_like(state[3])
-            return Command(
-                (zero, *assigned_accelerations(lumped, state, demand), zero, zero), (), code(Status.OK) + 0 * resting
-            )
-        terms = spatial.affine(lumped, state)
-        if realisation == "pseudo_inverse":
-            about_theta, about_phi = assigned_accelerations(lumped, state, demand)
-            return Command(pseudo_inverse_torque(terms, (0.0, about_theta, about_phi, 0.0, 0.0)), (), resting)
-        if realisation == "exact":
-            wanted = assigned_accelerations(lumped, state, demand)
-        else:
-            joints = joints_to(state, balancing_lean(lumped, demand).direction)
-            wanted = joint_accelerations(inner, joints, (state[10], state[11]))
-        solvable = _determinant(terms, pair) * upright > 0.0
-        status = jnp.where(solvable, resting, code(Status.SINGULAR_DECOUPLING))
-        return Command(assigning_torque(terms, pair, wanted), (), status)
+        now = signals(lumped, gains, inner, reference(time), state, realisation)
+        solvable = (now.determinant > 0.0) | (realisation in ("ideal", "pseudo_inverse"))
+        return Command(now.torque, (), jnp.where(solvable, resting, code(Status.SINGULAR_DECOUPLING)))
 
     return control
 
 
-def resting_state(robot: Robot, slope: Real, position: Pair = (0.0, 0.0), heading: Real = 0.25 * jnp.pi) -> tuple[Array, ...]:
+def resting_state(robot: Robot, slope: Real, position: Pair = (0.0, 0.0), heading: Real = 0.25 * jnp.pi) -> tuple[Real, ...]:
     """State at rest with the spin axis upright to `heading` and the pendulum at the lean that holds the slope, 12 components.
 
     Args:

@@ -141,6 +141,13 @@ def center_of(lumped: Lumped, angles: Angles, velocity: Sequence[Real], conventi
     return rows, drift
 
 
+def center_velocity(lumped: Lumped, state: State) -> Pair:
+    """Velocity (x', y') of the rolling centre in O, m/s."""
+    angles = angles_of(state)
+    along_x, along_y = lumped.radius * state[8], -lumped.radius * angles.s_theta * state[9]
+    return angles.c_psi * along_x - angles.s_psi * along_y, angles.s_psi * along_x + angles.c_psi * along_y
+
+
 def momentum_rows(lumped: Lumped, angles: Angles, turn: tuple[Vector3, ...], center: tuple[Row, Row]) -> tuple[Row, ...]:
     """Speeds that carry momentum, J by rows: centre in P (2), shell in B (3), gimbal in C (3), bob in D (3)."""
     s_theta, c_theta, s_gimbal, c_gimbal, _, c_pendulum, _, _ = angles
