@@ -69,17 +69,20 @@ def set_state(model, data, robot, state):
 
 
 def get_state(data):
-    """Read a state (12,) of the spatial model with the lean in (0, pi)."""
+    """Read a state (12,) of the spatial model with the lean in (0, pi); spin and gimbal angle up to full turns."""
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, data.qpos[3:7])
     rotation = rotation.reshape(3, 3)
-    psi, theta = np.arctan2(rotation[1, 2], rotation[0, 2]), np.arccos(np.clip(rotation[2, 2], -1.0, 1.0))
-    frame = np.asarray(oracle.about_z(psi)) @ np.asarray(oracle.about_y(theta))
+    axis = rotation[:, 2]
+    sine = np.hypot(axis[0], axis[1])
+    psi, theta = np.arctan2(axis[1], axis[0]), np.arctan2(sine, axis[2])
+    level = np.array([-np.sin(psi), np.cos(psi), 0.0])
+    frame = np.stack([np.cross(level, axis), level, axis], axis=1)
     unspun = frame.T @ rotation
     spin = np.arctan2(unspun[1, 0], unspun[0, 0])
-    turning = frame.T @ rotation @ data.qvel[3:6]
-    psi_rate = -turning[0] / np.sin(theta)
-    spin_rate = turning[2] - psi_rate * np.cos(theta)
+    turning = unspun @ data.qvel[3:6]
+    psi_rate = -turning[0] / sine
+    spin_rate = turning[2] - psi_rate * axis[2]
     return np.array(
         [
             *(data.qpos[0], data.qpos[1], psi, theta, spin, spin + data.qpos[7], data.qpos[8]),
@@ -88,14 +91,17 @@ def get_state(data):
     )
 
 
-def simulate(robot, slope, state, torque, duration, dt):
-    """Roll the engine out under `torque(time)` and return the samples (n, 12)."""
+def simulate(robot, slope, state, control, duration, dt, hold, save):
+    """Roll the engine out under `control(time, state)`, held for `hold` s; return the states (n, 12) every `save` s."""
     model, data = build(robot, slope, dt)
     set_state(model, data, robot, state)
     states = []
     for step in range(round(duration / dt)):
-        states.append(get_state(data) if step % round(0.02 / dt) == 0 else None)
-        data.ctrl[:] = torque(step * dt)
+        sampled, saved = step % round(hold / dt) == 0, step % round(save / dt) == 0
+        now = get_state(data) if sampled or saved else None
+        if saved:
+            states.append(now)
+        if sampled:
+            data.ctrl[:] = control(step * dt, now)
         mujoco.mj_step(model, data)
-    states.append(get_state(data))
-    return np.array([s for s in states if s is not None])
+    return np.array([*states, get_state(data)])

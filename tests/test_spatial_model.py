@@ -228,9 +228,11 @@ def test_against_mujoco(seed):
     """The corrected model is what MuJoCo's robot does; the printed one is centimetres and half a radian away."""
     robot = UNEQUAL if seed % 2 else js.Robot()
     state, wave = exciting_start(np.random.default_rng(seed)), (0.1, 0.3, 0.2)
-    engine = mujoco_robot.simulate(
-        robot, 0.15, state, lambda t: (wave[0] + wave[1] * np.sin(7.0 * t), wave[2] * np.cos(5.0 * t)), duration=0.4, dt=1e-4
-    )
+
+    def excite(time, _):
+        return wave[0] + wave[1] * np.sin(7.0 * time), wave[2] * np.cos(5.0 * time)
+
+    engine = mujoco_robot.simulate(robot, 0.15, state, excite, duration=0.4, dt=1e-4, hold=1e-4, save=0.02)
     ours = np.asarray(roll(robot, 0.15, state, 1e-3, 400, "corrected", wave))[::20]
     printed = np.asarray(roll(robot, 0.15, state, 1e-3, 400, "printed", wave))[::20]
     assert np.abs(engine[0] - state).max() < 1e-6
