@@ -137,7 +137,7 @@ def accelerations(terms: Reduced, torque: Sequence[Array], convention: str = "co
     """Solve M v' = B tau - h for v' (5), rad/s2."""
     drive, tilt = input_columns(convention)
     applied = (sum_of_products((a, torque[0]), (b, torque[1])) for a, b in zip(drive, tilt, strict=True))
-    right = [evaluate_once(jnp.asarray(force - bias)) for force, bias in zip(applied, terms.bias, strict=True)]
+    right = [force - bias for force, bias in zip(applied, terms.bias, strict=True)]
     (solution,) = solve_positive_definite(terms.inertia, right)
     return solution
 
@@ -146,7 +146,7 @@ def affine(lumped: Lumped, state: State, convention: str = "corrected") -> Affin
     """Solve the reduced dynamics for v', affine in the torques: f2 and the columns of G of (46)."""
     terms = reduced(lumped, state, convention)
     drive, tilt = input_columns(convention)
-    right = [evaluate_once(jnp.asarray(-bias)) for bias in terms.bias]
+    right = [-bias for bias in terms.bias]
     return Affine(*solve_positive_definite(terms.inertia, right, drive, tilt))
 
 
