@@ -1,0 +1,95 @@
+"""Energies of the spatial robot, body by body: equations (27)-(29), (32)-(34) and (36)-(39).
+
+Symbols, frames and the layout of a state are those of `spatial_kinematics`. Heights count from the plane through the origin of
+O, along the vertical.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxsphere.linear_algebra import Vector3, dot
+from jaxsphere.models import spatial_kinematics as kinematics
+from jaxsphere.models.spatial_kinematics import State
+from jaxsphere.numerics import Real
+from jaxsphere.robot import Robot
+
+
+def shell_kinetic_energy(robot: Robot, state: State, convention: str = "corrected") -> Real:
+    """Kinetic energy of the shell, J, Eq. (27); the moments are taken in B, which is right for I_xxs = I_yys only."""
+    velocity = kinematics.rolling_velocity(robot, state, convention)
+    turning = _rotational(robot.shell_inertia, kinematics.shell_angular_velocity(state))
+    return 0.5 * robot.shell_mass * dot(velocity, velocity) + turning
+
+
+def shell_potential_energy(robot: Robot, slope: Real, state: State) -> Real:
+    """Potential energy of the shell, J, Eq. (28)."""
+    return robot.shell_mass * robot.gravity * _height(slope, kinematics.center_position(robot, state))
+
+
+def gimbal_kinetic_energy(robot: Robot, state: State, convention: str = "corrected") -> Real:
+    """Kinetic energy of the gimbal, J, Eq. (32)."""
+    velocity = kinematics.rolling_velocity(robot, state, convention)
+    turning = _rotational(robot.gimbal_inertia, kinematics.gimbal_angular_velocity(state))
+    return 0.5 * robot.gimbal_mass * dot(velocity, velocity) + turning
+
+
+def gimbal_potential_energy(robot: Robot, slope: Real, state: State) -> Real:
+    """Potential energy of the gimbal, J, Eq. (33)."""
+    return robot.gimbal_mass * robot.gravity * _height(slope, kinematics.gimbal_position(robot, state))
+
+
+def pendulum_kinetic_energy(robot: Robot, state: State, convention: str = "corrected") -> Real:
+    """Kinetic energy of the pendulum's bob, J, Eq. (36)."""
+    velocity = kinematics.pendulum_velocity(robot, state, convention)
+    return 0.5 * robot.pendulum_mass * dot(velocity, velocity)
+
+
+def pendulum_potential_energy(robot: Robot, slope: Real, state: State) -> Real:
+    """Potential energy of the pendulum's bob, J, Eq. (37)."""
+    return robot.pendulum_mass * robot.gravity * _height(slope, kinematics.pendulum_position(robot, state))
+
+
+def kinetic_energy(robot: Robot, state: State, convention: str = "corrected") -> Real:
+    """Kinetic energy of shell, gimbal and pendulum, J."""
+    shell, gimbal = shell_kinetic_energy(robot, state, convention), gimbal_kinetic_energy(robot, state, convention)
+    return shell + gimbal + pendulum_kinetic_energy(robot, state, convention)
+
+
+def potential_energy(robot: Robot, slope: Real, state: State) -> Real:
+    """Potential energy of shell, gimbal and pendulum, J."""
+    shell, gimbal = shell_potential_energy(robot, slope, state), gimbal_potential_energy(robot, slope, state)
+    return shell + gimbal + pendulum_potential_energy(robot, slope, state)
+
+
+def body_lagrangians(robot: Robot, slope: Real, state: State) -> Vector3:
+    """Lagrangians of shell, gimbal and pendulum, J, Eq. (29), Eq. (34), Eq. (38)."""
+    return (
+        shell_kinetic_energy(robot, state) - shell_potential_energy(robot, slope, state),
+        gimbal_kinetic_energy(robot, state) - gimbal_potential_energy(robot, slope, state),
+        pendulum_kinetic_energy(robot, state) - pendulum_potential_energy(robot, slope, state),
+    )
+
+
+def lagrangian(robot: Robot, slope: Real, state: State) -> Real:
+    """Lagrangian of a robot that rolls, J, Eq. (39)."""
+    shell, gimbal, pendulum = body_lagrangians(robot, slope, state)
+    return shell + gimbal + pendulum
+
+
+def power(state: State, torque: Sequence[Array]) -> Array:
+    """Mechanical power of the two motors, tau1 (phi' - beta1') + tau2 beta2', W."""
+    drive, tilt = torque
+    return drive * (state[9] - state[10]) + tilt * state[11]
+
+
+def _rotational(moments: Array, rates: Vector3) -> Real:
+    return 0.5 * (moments[0] * rates[0] ** 2 + moments[1] * rates[1] ** 2 + moments[2] * rates[2] ** 2)
+
+
+def _height(slope: Real, position: Vector3) -> Real:
+    x, _, z = position
+    return x * jnp.sin(slope) + z * jnp.cos(slope)

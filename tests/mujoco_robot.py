@@ -1,0 +1,107 @@
+"""The spatial robot as MuJoCo sees it: a sphere on a tilted plane with a gimbal hinge and a pendulum hinge."""
+
+import mujoco
+import numpy as np
+import spatial_oracle as oracle
+
+_XML = """
+<mujoco>
+  <option timestep="{dt}" gravity="{gx} 0 {gz}" integrator="implicitfast" cone="elliptic" iterations="20" tolerance="1e-12"
+          impratio="100"/>
+  <default>
+    <geom solref="0.002 1" solimp="0.99 0.9999 0.0001"/>
+  </default>
+  <worldbody>
+    <geom type="plane" size="50 50 1" friction="10 0 0" condim="3"/>
+    <body name="shell" pos="0 0 {r}">
+      <freejoint name="shell"/>
+      <inertial pos="0 0 0" mass="{m}" diaginertia="{shell}"/>
+      <geom type="sphere" size="{r}" friction="10 0 0" condim="3"/>
+      <body name="gimbal">
+        <joint name="gimbal" type="hinge" axis="0 0 1"/>
+        <inertial pos="0 0 0" mass="{mi}" diaginertia="{gimbal}"/>
+        <body name="pendulum">
+          <joint name="pendulum" type="hinge" axis="0 1 0"/>
+          <inertial pos="{l} 0 0" mass="{mp}" diaginertia="1e-9 1e-9 1e-9"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="gimbal" gear="-1"/>
+    <motor joint="pendulum"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def build(robot, slope, dt):
+    """Return (model, data) of the robot. The controls are drive and tilt torque, N m."""
+    model = mujoco.MjModel.from_xml_string(
+        _XML.format(
+            dt=dt,
+            gx=-float(robot.gravity) * np.sin(slope),
+            gz=-float(robot.gravity) * np.cos(slope),
+            r=robot.shell_radius,
+            l=robot.pendulum_length,
+            m=robot.shell_mass,
+            mi=robot.gimbal_mass,
+            mp=robot.pendulum_mass,
+            shell=" ".join(str(float(i)) for i in robot.shell_inertia),
+            gimbal=" ".join(str(float(i)) for i in robot.gimbal_inertia),
+        )
+    )
+    return model, mujoco.MjData(model)
+
+
+def set_state(model, data, robot, state):
+    """Put the engine into a state (12,) of the spatial model, rolling without slip."""
+    q, v = np.asarray(state[:7]), np.asarray(state[7:])
+    rotation = np.asarray(oracle.shell_rotation(q))
+    data.qpos[:3] = q[0], q[1], float(robot.shell_radius)
+    mujoco.mju_mat2Quat(data.qpos[3:7], rotation.ravel())
+    data.qpos[7], data.qpos[8] = q[5] - q[4], q[6]
+    q_rate = np.asarray(oracle.null_space(robot, q, "corrected")) @ v
+    data.qvel[:3] = q_rate[0], q_rate[1], 0.0
+    data.qvel[3:6] = np.asarray(oracle.turning_in_body(oracle.shell_rotation, q, q_rate))
+    data.qvel[6], data.qvel[7] = v[3] - v[2], v[4]
+    mujoco.mj_forward(model, data)
+
+
+def get_state(data):
+    """Read a state (12,) of the spatial model with the lean in (0, pi); spin and gimbal angle up to full turns."""
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, data.qpos[3:7])
+    rotation = rotation.reshape(3, 3)
+    axis = rotation[:, 2]
+    sine = np.hypot(axis[0], axis[1])
+    psi, theta = np.arctan2(axis[1], axis[0]), np.arctan2(sine, axis[2])
+    level = np.array([-np.sin(psi), np.cos(psi), 0.0])
+    frame = np.stack([np.cross(level, axis), level, axis], axis=1)
+    unspun = frame.T @ rotation
+    spin = np.arctan2(unspun[1, 0], unspun[0, 0])
+    turning = unspun @ data.qvel[3:6]
+    psi_rate = -turning[0] / sine
+    spin_rate = turning[2] - psi_rate * axis[2]
+    return np.array(
+        [
+            *(data.qpos[0], data.qpos[1], psi, theta, spin, spin + data.qpos[7], data.qpos[8]),
+            *(psi_rate, turning[1], spin_rate, spin_rate + data.qvel[6], data.qvel[7]),
+        ]
+    )
+
+
+def simulate(robot, slope, state, control, duration, dt, hold, save):
+    """Roll the engine out under `control(time, state)`, held for `hold` s; return the states (n, 12) every `save` s."""
+    model, data = build(robot, slope, dt)
+    set_state(model, data, robot, state)
+    states = []
+    for step in range(round(duration / dt)):
+        sampled, saved = step % round(hold / dt) == 0, step % round(save / dt) == 0
+        now = get_state(data) if sampled or saved else None
+        if saved:
+            states.append(now)
+        if sampled:
+            data.ctrl[:] = control(step * dt, now)
+        mujoco.mj_step(model, data)
+    return np.array([*states, get_state(data)])
