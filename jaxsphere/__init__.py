@@ -8,6 +8,11 @@ Where the equations live (`grep -rn "Eq. (12)" jaxsphere` finds the home of any 
     (1) (5) (60)      models.planar                   dynamics, canonical form
     (2) - (4)         models.climbing                 equilibrium, bound, poles of the zero dynamics
     (6) - (16)        controllers.sliding_mode        decoupled sliding-mode control of the plane
+    (19) - (26), (30), (31), (35), (41) - (43)    models.spatial_kinematics    frames, rolling constraint
+    (27) - (39)       models.spatial_energy           energies and Lagrangian
+    (40)              models.contact                  constraint forces
+    (44) - (46)       models.spatial                  reduced dynamics
+    (47) - (59)       controllers.tracking            trajectory tracking in four realisations
 
 Symbols:
 
@@ -20,9 +25,10 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 from jaxsphere.command import Command, Status  # noqa: E402
-from jaxsphere.controllers import sliding_mode  # noqa: E402
+from jaxsphere.controllers import references, sliding_mode, tracking  # noqa: E402
 from jaxsphere.controllers.sliding_mode import SlidingModeGains, nonsingularity_margin, sliding_mode_poles  # noqa: E402
-from jaxsphere.models import climbing, planar  # noqa: E402
+from jaxsphere.controllers.tracking import AttitudeGains, TrackingGains  # noqa: E402
+from jaxsphere.models import climbing, planar, spatial  # noqa: E402
 from jaxsphere.models.climbing import (  # noqa: E402
     climbing_bound,
     equilibria,
@@ -33,8 +39,16 @@ from jaxsphere.robot import Robot, check_robot, robot_named, robots  # noqa: E40
 from jaxsphere.simulation.host import RolloutError  # noqa: E402
 from jaxsphere.simulation.rollout import Measure, Plant, Trajectory, rollout  # noqa: E402
 from jaxsphere.tasks import require_holdable, rest_to_rest  # noqa: E402
+from jaxsphere.track import track, track_line  # noqa: E402
 
 __all__ = [
+    "AttitudeGains",
+    "TrackingGains",
+    "references",
+    "spatial",
+    "track",
+    "track_line",
+    "tracking",
     "Command",
     "Measure",
     "Plant",

@@ -226,7 +226,8 @@ def law(
     """Build the control law (time, state, memory) -> Command; it has no memory.
 
     The torques are drive and tilt (N m). For "ideal" they are five accelerations (rad/s2), the input of `ideal_derivative`. The
-    status is INFEASIBLE_LEAN on a slope past the bound (4) and SINGULAR_DECOUPLING where no torques give what is asked for.
+    status is INFEASIBLE_LEAN on a slope past the bound (4) and where no lean gives the demand at time 0, and
+    SINGULAR_DECOUPLING where no torques give what is asked for.
 
     Args:
         robot: the robot that the controller believes in. slope: rad. gains: k1..k4. reference: time -> Reference.
@@ -242,7 +243,11 @@ def law(
         del memory
         now = signals(lumped, gains, inner, reference(time), state, realisation)
         solvable = (now.determinant > 0.0) | (realisation in ("ideal", "pseudo_inverse"))
-        return Command(now.torque, (), jnp.where(solvable, resting, code(Status.SINGULAR_DECOUPLING)))
+        status = jnp.where(solvable, resting, code(Status.SINGULAR_DECOUPLING))
+        if realisation == "pendulum_attitude":
+            # Later the nearest lean is kept; at the start there is nothing to recover from.
+            status = jnp.where((time <= 0.0) & (now.lean.margin < 0.0), code(Status.INFEASIBLE_LEAN), status)
+        return Command(now.torque, (), status)
 
     return control
 

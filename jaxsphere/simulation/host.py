@@ -37,12 +37,17 @@ def is_single(trajectory: Trajectory) -> bool:
     return is_concrete(trajectory.status) and jnp.ndim(trajectory.status) == 0
 
 
-def raise_early_end(trajectory: Trajectory) -> Trajectory:
-    """Raise RolloutError if a single rollout on the host ended early; pass batches and traced rollouts on."""
-    if is_single(trajectory) and int(trajectory.status) in _ADVICE:
+def raise_early_end(trajectory: Trajectory, advice: dict[Status, str] | None = None) -> Trajectory:
+    """Raise RolloutError if a single rollout on the host ended early; pass batches and traced rollouts on.
+
+    Args:
+        trajectory: what to look at. advice: what to change, for further statuses that are failures of the task.
+    """
+    known = _ADVICE | (advice or {})
+    if is_single(trajectory) and int(trajectory.status) in known:
         ended = Status(int(trajectory.status))
         raise RolloutError(
-            f"the rollout ended at {float(trajectory.end_time):.3f} s with status {ended.name.lower()}: {_ADVICE[ended]}, "
+            f"the rollout ended at {float(trajectory.end_time):.3f} s with status {ended.name.lower()}: {known[ended]}, "
             "or type throw=False to get the trajectory up to there",
             trajectory,
         )

@@ -15,9 +15,10 @@ import numpy as np
 from jax import Array
 
 from jaxsphere.checks import require_choice
+from jaxsphere.numerics import Real
 
 State = tuple[Array, ...]
-Field = Callable[[Array, State], tuple[State, Any]]
+Field = Callable[[Array, State], tuple[tuple[Real, ...], Any]]
 Step = Callable[[Field, Array, State, Array], tuple[State, Any]]
 
 # Each stage of the classical method needs only the stage before it: (step to the next stage, weight, time), in units of dt.

@@ -1,12 +1,14 @@
-"""Figures of merit of a regulation task, updated at every step of a rollout, whatever the rollout saves."""
+"""Figures of merit of regulation and of tracking, updated at every step of a rollout, whatever the rollout saves."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
+from jaxsphere.numerics import Real
 from jaxsphere.simulation.rollout import Measure, State
 
 SETTLING_BAND = 0.02  # of the travel
@@ -58,3 +60,38 @@ def regulation(target: Array, travel: Array, equilibrium: Array) -> Measure:
         return _Running(now, tau)
 
     return Measure(_Running(nothing, zero), update, lambda running: running.so_far)
+
+
+class TrackingMetrics(NamedTuple):
+    """How well a reference was followed; every entry a scalar per lane."""
+
+    rms_error: Array  # root mean square distance from the reference, m
+    late_error: Array  # largest distance after the time allowed for settling, m
+    final_error: Array  # m
+    peak_torque: Array  # largest of any torque, N m
+    effort: Array  # integral of the sum of the squared torques, (N m)^2 s
+    peak_lean: Array  # largest |theta - pi/2|, rad
+
+
+def tracking(reference: Callable[[Array], tuple[Real, Real]], settled_after: Array) -> Measure:
+    """Measure of following `reference` (time -> x, y in m) for spatial states; errors after `settled_after` (s) are late."""
+    zero = jnp.zeros_like(settled_after)
+
+    def update(running: TrackingMetrics, time: Array, state: State, torque: State, dt: Array) -> TrackingMetrics:
+        x, y = reference(time)
+        square = (state[0] - x) ** 2 + (state[1] - y) ** 2
+        # The distance itself has no derivative at zero.
+        apart = square > 0.0
+        distance = jnp.where(apart, jnp.sqrt(jnp.where(apart, square, 1.0)), 0.0)
+        late = jnp.where(time >= settled_after, distance, 0.0)
+        largest = jnp.max(jnp.abs(jnp.stack(torque)), axis=0)
+        return TrackingMetrics(
+            rms_error=running.rms_error + dt * square,
+            late_error=jnp.maximum(running.late_error, late),
+            final_error=distance,
+            peak_torque=jnp.maximum(running.peak_torque, largest),
+            effort=running.effort + dt * sum((u * u for u in torque[1:]), torque[0] * torque[0]),
+            peak_lean=jnp.maximum(running.peak_lean, jnp.abs(state[3] - 0.5 * jnp.pi)),
+        )
+
+    return Measure(TrackingMetrics(*(zero,) * 6), update, lambda running: running)

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxsphere.command import Command, Status, code
+from jaxsphere.numerics import Real
 from jaxsphere.simulation.integrators import stepper
 
 State = tuple[Array, ...]
@@ -28,7 +29,7 @@ Law = Callable[[Array, State, State], Command]
 class Plant(NamedTuple):
     """What a rollout needs to know of a robot."""
 
-    derivative: Callable[[State, State], State]  # (state, torque) -> rate
+    derivative: Callable[[State, State], tuple[Real, ...]]  # (state, torque) -> rate
     status: Callable[[State], Array]  # state -> Status code
     is_velocity: tuple[bool, ...]
 
@@ -110,7 +111,7 @@ def rollout(
         if hold is not None:
             held = _where(index % hold == 0, command(time, loop.x, loop.memory), loop.held)
 
-        def field(time: Array, y: State) -> tuple[State, Command]:
+        def field(time: Array, y: State) -> tuple[tuple[Real, ...], Command]:
             x, memory = y[: len(state)], y[len(state) :]
             now = command(time, x, memory) if held is None else held
             return (*plant.derivative(x, now.torque), *now.memory_rate), now
