@@ -218,7 +218,7 @@ def _start(
 
 
 def _require_regular(state: Array) -> None:
-    if is_concrete(state) and bool(spatial.is_singular(tuple(jnp.asarray(state, float)))):
+    if is_concrete(state) and abs(math.sin(float(state[3]))) < math.sin(spatial.SINGULAR_LEAN):
         raise ValueError(
             f"initial_state has a lean theta = {float(state[3]):g} rad, where the attitude angles are singular; type one away "
             "from 0 and pi, e.g. pi/2"

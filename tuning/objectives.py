@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -82,3 +83,38 @@ class RestToRest:
     def __call__(self, gains: js.SlidingModeGains) -> Array:
         """Weighted sum of the terms."""
         return sum((w * t for w, t in zip(self.weights, self.terms(gains), strict=True)), jnp.zeros(()))
+
+
+@dataclass(frozen=True, eq=False)
+class FollowLine:
+    """Objective of following a line from Table 4's start, as a function of `TrackingGains`: mean over the speeds, in cm.
+
+    slope: rad. speeds: v_f, m/s, one rollout each. duration, dt: s. torque_limit: N m. effort_weight: cm per (N m)^2 s.
+    """
+
+    robot: js.Robot = field(default_factory=js.Robot)
+    slope: Real = 0.17453292519943295  # 10 degrees
+    speeds: tuple[float, ...] = (0.5,)
+    duration: float = 20.0
+    dt: float = 4e-3
+    torque_limit: float | None = 5.0
+    effort_weight: float = 0.0
+
+    def __call__(self, gains: js.TrackingGains) -> Array:
+        """Root-mean-square distance from the line (cm) plus the weighted effort; a lane that ends early pays for the rest."""
+        return jnp.mean(jax.vmap(lambda speed: self._one(gains, speed))(jnp.asarray(self.speeds)))
+
+    def _one(self, gains: js.TrackingGains, speed: Array) -> Array:
+        trajectory = js.track_line(
+            self.robot,
+            self.slope,
+            gains,
+            speed,
+            duration=self.duration,
+            dt=self.dt,
+            torque_limit=self.torque_limit,
+            save_every=None,
+            throw=False,
+        )
+        lost = 100.0 * (1.0 - trajectory.end_time / self.duration)
+        return 100.0 * trajectory.metrics.rms_error + self.effort_weight * trajectory.metrics.effort + lost

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.tree_util import Partial
 
@@ -118,8 +119,8 @@ def way_points(times: Array, points: Array) -> ReferenceFunction:
     count = times.size
     if times.ndim != 1 or count < 2 or points.shape != (count, 2):
         raise ValueError(f"times and points have shapes {times.shape} and {points.shape}; type n times and n points (x, y)")
-    if is_concrete(times) and not bool(jnp.all(jnp.diff(times) > 0.0)):
-        raise ValueError(f"times = {times.tolist()} s do not increase; type increasing times")
+    if is_concrete(times) and not np.all(np.diff(np.asarray(times)) > 0.0):
+        raise ValueError(f"times = {np.asarray(times).tolist()} s do not increase; type increasing times")
     # The slopes at the points make the second derivative continuous: a tridiagonal system, zero slope at both ends.
     step = jnp.diff(times)
     chord = jnp.diff(points, axis=0) / step[:, None]
@@ -175,10 +176,10 @@ def _from_pairs(function: Callable[[Array], object], time: Array) -> Reference:
 
 def check_reference(reference: ReferenceFunction, duration: float) -> None:
     """Look at a reference at 101 instants on the host. Raises ValueError if it is not finite; traced ones are passed over."""
-    if is_concrete(reference):
-        times = jnp.linspace(0.0, duration, 101)
-        values = jnp.stack([jnp.broadcast_to(leaf, times.shape) for leaf in jax.tree.leaves(jax.vmap(reference)(times))])
-        finite = jnp.isfinite(values).all(axis=0)
-        if not bool(finite.all()):
-            first = float(times[jnp.argmin(finite)])
+    times = np.linspace(0.0, duration, 101)
+    values = jax.tree.leaves(jax.vmap(reference)(times))
+    if is_concrete(values):
+        finite = np.isfinite(np.stack(values)).all(axis=0)
+        if not finite.all():
+            first = times[np.argmin(finite)]
             raise ValueError(f"reference is not finite at {first:g} s; type a function that is finite from 0 to {duration:g} s")
