@@ -19,7 +19,10 @@ from jaxsphere.robot import Robot
 
 
 def shell_kinetic_energy(robot: Robot, state: State, convention: str = "corrected") -> Real:
-    """Kinetic energy of the shell, J, Eq. (27); the moments are taken in B, which is right for I_xxs = I_yys only."""
+    """Kinetic energy of the shell, J, Eq. (27).
+
+    The moments are taken in B, which does not spin; that is right for I_xxs = I_yys only.
+    """
     velocity = kinematics.rolling_velocity(robot, state, convention)
     turning = _rotational(robot.shell_inertia, kinematics.shell_angular_velocity(state))
     return 0.5 * robot.shell_mass * dot(velocity, velocity) + turning
