@@ -47,14 +47,6 @@ def test_terms_reach_the_gradient_one_by_one():
         assert all(getattr(gradient, name) != 0.0 for name in ("c1", "c2", "z_u", "phi_z", "eta", "k")), term
 
 
-def test_objective_is_the_weighted_sum_of_its_terms():
-    weights = tuning.Weights(2.0, 3.0, 5.0, 7.0)
-    objective = replace(OBJECTIVE, swing_limit=np.deg2rad(5.0), duration=1.2, weights=weights)
-    terms, value = jax.jit(lambda gains: (objective.terms(gains), objective(gains)))(js.SlidingModeGains())
-    assert all(term > 0.0 for term in terms)
-    assert value == pytest.approx(sum(w * float(t) for w, t in zip(weights, terms, strict=True)), rel=1e-14)
-
-
 def test_gradient_with_respect_to_robot_and_slope(slope):
     def value(robot, slope):
         return replace(OBJECTIVE, robot=robot, slope=slope)(js.SlidingModeGains())
