@@ -18,7 +18,7 @@ class Reproduce:
     """Reproduce the paper's figures with the corrected equations; all of them when none is named."""
 
     experiments: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Which: fig4."""
+    """Which: fig4, fig5."""
     out: str = "out"
     """Folder for pictures, metrics.json and manifest.json."""
     progress: bool = True

@@ -9,14 +9,14 @@ import jax.numpy as jnp
 
 import jaxsphere as js
 import tuning
-from experiments import benchmark, fig4, plotting
+from experiments import benchmark, fig4, fig5, plotting
 from experiments.records import Record
 from jaxsphere.checks import require_choice, require_scalar
 
 if TYPE_CHECKING:
     from experiments.cli import SimulatePlanar, TunePlanar
 
-EXPERIMENTS = {"fig4": fig4.reproduce}
+EXPERIMENTS = {"fig4": fig4.reproduce, "fig5": fig5.reproduce}
 
 
 def reproduce(names: tuple[str, ...], out: str, progress: bool) -> None:

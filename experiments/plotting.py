@@ -72,12 +72,12 @@ def regulation_figure(title: str, runs: Sequence[Run], robot: js.Robot, slope: f
         surfaces.plot(time, s2, label=f"s2, {run.label}", **{**style, "linewidth": 0.8})
         _phase_plane(sphere_plane, alpha - travel, alpha_rate, float(run.gains.c1), run.label, style)
         _phase_plane(pendulum_plane, phi - equilibrium - z, phi_rate, float(run.gains.c2), run.label, style)
-    _name(angle, "time (s)", "sphere angle α (rad)")
-    _name(swing, "time (s)", "swing φ (deg)")
-    _name(torque, "time (s)", "motor torque τ (N m)")
-    _name(surfaces, "time (s)", "surfaces s1, s2 (rad/s)")
-    _name(sphere_plane, "error α − α_d (rad)", "rate α' (rad/s)", title="phase plane of the sphere, thin: s1 = 0")
-    _name(pendulum_plane, "φ − φ0 − z (rad)", "rate φ' (rad/s)", title="phase plane of the pendulum, thin: s2 = 0")
+    name_axes(angle, "time (s)", "sphere angle α (rad)")
+    name_axes(swing, "time (s)", "swing φ (deg)")
+    name_axes(torque, "time (s)", "motor torque τ (N m)")
+    name_axes(surfaces, "time (s)", "surfaces s1, s2 (rad/s)")
+    name_axes(sphere_plane, "error α − α_d (rad)", "rate α' (rad/s)", title="phase plane of the sphere, thin: s1 = 0")
+    name_axes(pendulum_plane, "φ − φ0 − z (rad)", "rate φ' (rad/s)", title="phase plane of the pendulum, thin: s2 = 0")
     fig.suptitle(title)
     return fig
 
@@ -100,8 +100,8 @@ def sign_figure(corrected: js.Trajectory, printed: js.Trajectory, until: float) 
         shown = time <= min(until, float(trajectory.end_time))
         axes[0, 0].plot(time[shown], state[shown, 0], label=name, **style)
         axes[0, 1].plot(time[shown], np.rad2deg(state[shown, 2]), label=name, **style)
-    _name(axes[0, 0], "time (s)", "sphere angle α (rad)")
-    _name(axes[0, 1], "time (s)", "swing φ (deg)")
+    name_axes(axes[0, 0], "time (s)", "sphere angle α (rad)")
+    name_axes(axes[0, 1], "time (s)", "swing φ (deg)")
     fig.suptitle("Sign of the asked swing in (8), Table 3, slope 10°")
     return fig
 
@@ -114,7 +114,7 @@ def error_figure(title: str, labels: Sequence[str], time: np.ndarray, errors: Se
     for label, error, style in zip(labels, errors, STYLES, strict=False):
         panel.plot(time, error, label=label, **style)
     panel.set_ylim(-1.5, 1.0)
-    _name(panel, "time (s)", "error α − α_d (rad)", title=title)
+    name_axes(panel, "time (s)", "error α − α_d (rad)", title=title)
     return fig
 
 
@@ -129,12 +129,12 @@ def convergence_figure(result: TuningResult) -> Figure:
         curves.plot(objective[:, index], color="0.75", linewidth=0.8, label="other starts" if index == (winner == 0) else None)
     curves.plot(objective[:, winner], label="best start", **STYLES[0])
     curves.set_yscale("log")
-    _name(curves, "iteration", "objective")
+    name_axes(curves, "iteration", "objective")
     ratios = [float(getattr(result.gains, name)) / float(getattr(result.initial_gains, name)) for name in result.names]
     gains.barh(range(len(ratios)), np.log2(ratios), color=STYLES[0]["color"])
     gains.set_yticks(range(len(ratios)), result.names)
     gains.axvline(0.0, color="0.4", linewidth=0.8)
-    _name(gains, "change of the gain (factors of two)", "", legend=False)
+    name_axes(gains, "change of the gain (factors of two)", "", legend=False)
     fig.suptitle(f"Tuning: objective {result.initial_objective:.3f} → {result.objective:.3f}")
     return fig
 
@@ -150,11 +150,12 @@ def bars_figure(title: str, labels: Sequence[str], values: Sequence[float], unit
     panel.set_xlim(min(values) / 10, max(values) * 4)
     panel.set_yticks(range(len(labels)), labels)
     panel.invert_yaxis()
-    _name(panel, unit, "", title=title, legend=False)
+    name_axes(panel, unit, "", title=title, legend=False)
     return fig
 
 
-def _name(axes: Axes, x: str, y: str, title: str = "", legend: bool = True) -> None:
+def name_axes(axes: Axes, x: str, y: str, title: str = "", legend: bool = True) -> None:
+    """Label both axes of a panel, with a small title and a legend where asked."""
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     if title:

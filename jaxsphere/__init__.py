@@ -27,7 +27,7 @@ jax.config.update("jax_enable_x64", True)
 from jaxsphere.command import Command, Status  # noqa: E402
 from jaxsphere.controllers import references, sliding_mode, tracking  # noqa: E402
 from jaxsphere.controllers.sliding_mode import SlidingModeGains, nonsingularity_margin, sliding_mode_poles  # noqa: E402
-from jaxsphere.controllers.tracking import AttitudeGains, TrackingGains  # noqa: E402
+from jaxsphere.controllers.tracking import TrackingGains  # noqa: E402
 from jaxsphere.models import climbing, planar, spatial  # noqa: E402
 from jaxsphere.models.climbing import (  # noqa: E402
     climbing_bound,
@@ -42,7 +42,6 @@ from jaxsphere.tasks import require_holdable, rest_to_rest  # noqa: E402
 from jaxsphere.track import track, track_line  # noqa: E402
 
 __all__ = [
-    "AttitudeGains",
     "TrackingGains",
     "references",
     "spatial",

@@ -15,7 +15,7 @@ from jaxsphere.checks import is_concrete, require_choice, require_finite_vector,
 from jaxsphere.command import Status, code
 from jaxsphere.controllers import references, tracking
 from jaxsphere.controllers.references import Pair, ReferenceFunction
-from jaxsphere.controllers.tracking import AttitudeGains, TrackingGains
+from jaxsphere.controllers.tracking import TrackingGains
 from jaxsphere.models import contact, spatial
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot, check_robot
@@ -69,7 +69,6 @@ def track(
     dt: float = 1e-3,
     torque_limit: Real | None = 5.0,
     *,
-    inner: AttitudeGains | None = None,
     start: Pair | None = None,
     heading: Real | None = None,
     initial_state: Array | None = None,
@@ -85,13 +84,13 @@ def track(
 ) -> Trajectory:
     """Follow a reference with the centre of the sphere.
 
-    Batch it with `jax.vmap` over any leaf of robot, plant, slope, reference, gains, inner, start, initial_state.
+    Batch it with `jax.vmap` over any leaf of robot, plant, slope, reference, gains, start, initial_state.
 
     Args:
         robot: the robot that the controller believes in, and the plant too unless `plant` is given. slope: rad.
         reference: time -> position, velocity, acceleration (see `controllers.references`). gains: Table 4 by default.
         realisation: one of `tracking.REALISATIONS`. duration, dt: s. torque_limit: N m, None for no limit.
-        inner: gains of "pendulum_attitude". start, heading: where the robot rests at first, m and rad; on the reference and
+        start, heading: where the robot rests at first, m and rad; on the reference and
         along it by default. initial_state: (12,), in place of both. control_period: s, a multiple of dt, for a zero-order
         hold; None for a continuous controller. tolerance: m; an error above it later than `settled_after` (s) is
         NOT_SETTLED. method: an integrator. save_every: keep every so many steps, None for the last state only.
@@ -105,13 +104,11 @@ def track(
         ValueError: an argument is not admissible. RolloutError: a single rollout failed and `throw` is set.
     """
     gains = TrackingGains() if gains is None else gains
-    inner = AttitudeGains() if inner is None else inner
     steps = check_time_grid(duration, dt, save_every)
     for name, one in (("robot", robot), ("plant", plant)):
         if one is not None:
             spatial.check_spatial_robot(check_robot(one, name), name)
     tracking.check_gains(gains)
-    tracking.check_gains(inner, "inner")
     half_turn = math.pi / 2
     require_scalar("slope", slope, above=-half_turn, below=half_turn, unit="rad", hint="type radians, e.g. jnp.deg2rad(10)")
     require_choice("realisation", realisation, tracking.REALISATIONS)
@@ -126,7 +123,7 @@ def track(
     reference = references.as_reference(reference)
     references.check_reference(reference, duration)
 
-    numbers = (robot, plant, slope, reference, gains, inner, dt, torque_limit, start, heading, initial_state)
+    numbers = (robot, plant, slope, reference, gains, dt, torque_limit, start, heading, initial_state)
     trajectory = _track(
         *cast((*numbers, tolerance, settled_after), dtype or jnp.float64),
         hold=check_control_period(control_period, dt),
@@ -149,7 +146,6 @@ def _track(
     slope: Array,
     reference: ReferenceFunction,
     gains: TrackingGains,
-    inner: AttitudeGains,
     dt: Array,
     torque_limit: Array | None,
     start: Pair | None,
@@ -169,7 +165,7 @@ def _track(
     state = _start(robot, slope, reference, start, heading) if initial_state is None else tuple(initial_state)
     trajectory = rollout(
         spatial_plant(robot if plant is None else plant, slope, ideal),
-        tracking.law(robot, slope, gains, reference, inner, realisation),
+        tracking.law(robot, slope, gains, reference, realisation),
         state,
         dt=dt,
         steps=steps,
@@ -189,7 +185,7 @@ def _track(
     lumped = spatial.lump(robot, slope)
 
     def diagnose(time: Array, state: Array, torque: Array) -> Diagnostics:
-        now = tracking.signals(lumped, gains, inner, reference(time), tuple(state), realisation)
+        now = tracking.signals(lumped, gains, reference(time), tuple(state), realisation)
         return Diagnostics(now, None if ideal else contact.contact(robot, slope, tuple(state), tuple(torque)))
 
     return dataclasses.replace(trajectory, diagnostics=jax.vmap(diagnose)(trajectory.time, trajectory.state, trajectory.torque))

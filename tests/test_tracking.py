@@ -35,7 +35,7 @@ def track(gains, path, number, start, heading, steps, realisation="pendulum_atti
     field = partial(tracking.ideal_derivative, ROBOT) if ideal else partial(spatial.derivative_components, lumped)
     trajectory = rollout(
         Plant(field, spatial.status, spatial.IS_VELOCITY),
-        tracking.law(ROBOT, slope, gains, reference, None, realisation),
+        tracking.law(ROBOT, slope, gains, reference, realisation),
         tracking.resting_state(ROBOT, slope, (start[0], start[1]), heading),
         dt=jnp.asarray(1e-3),
         steps=steps,
@@ -115,11 +115,11 @@ def test_joints_reach_the_lean_and_hold_it():
 
 
 def test_realisations_do_what_their_equations_say():
-    lumped, inner = spatial.lump(UNEQUAL, SLOPE), tracking.AttitudeGains()
+    lumped = spatial.lump(UNEQUAL, SLOPE)
     reference = references.line(0.5)(jnp.asarray(0.2))
     for state in draw(np.random.default_rng(2), 10):
         components = tuple(jnp.asarray(state))
-        now = {name: tracking.signals(lumped, GAINS, inner, reference, components, name) for name in tracking.REALISATIONS}
+        now = {name: tracking.signals(lumped, GAINS, reference, components, name) for name in tracking.REALISATIONS}
         terms = [np.array(column) for column in spatial.affine(lumped, components)]
         columns = np.stack(terms[1:], axis=1)
         outcome = {n: terms[0] + columns @ np.array(s.torque) for n, s in now.items() if n != "ideal"}
@@ -147,7 +147,7 @@ def test_upright_the_torques_are_solvable(robot):
     lumped = spatial.lump(robot, 0.1)
     state = tuple(jnp.asarray([0.0] * 3 + [0.5 * np.pi] + [0.0] * 8))
     for name in ("exact", "pendulum_attitude"):
-        now = tracking.signals(lumped, GAINS, tracking.AttitudeGains(), references.line(0.1)(jnp.zeros(())), state, name)
+        now = tracking.signals(lumped, GAINS, references.line(0.1)(jnp.zeros(())), state, name)
         assert now.determinant > 0.0
 
 

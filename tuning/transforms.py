@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere import SlidingModeGains
+from jaxsphere import SlidingModeGains, TrackingGains
 
 
 class Transform(NamedTuple):
@@ -28,7 +28,8 @@ UNIT = Transform(jax.nn.sigmoid, lambda gain: jnp.log(gain) - jnp.log1p(-gain))
 FROZEN = None
 
 # The transforms of each kind of gains that the package knows, by the name of the field.
-_KNOWN: dict[type, dict[str, Transform | None]] = {
+_KNOWN: dict[Any, dict[str, Any]] = {
+    TrackingGains: dict.fromkeys(("k1", "k2", "k3", "k4"), POSITIVE) | dict.fromkeys(("k_p", "k_d", "a_max"), FROZEN),
     SlidingModeGains: dict.fromkeys(("c1", "c2", "phi_z", "eta", "k"), POSITIVE) | {"z_u": UNIT, "k_i": FROZEN},
 }
 

@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 from tqdm.auto import tqdm
 
-from jaxsphere import SlidingModeGains
+from jaxsphere import SlidingModeGains, TrackingGains
 from jaxsphere.checks import require_choice, require_scalar
 from jaxsphere.files import to_plain, write_json
 from jaxsphere.simulation.lanes import over_lanes
@@ -25,7 +25,7 @@ from tuning.transforms import Parametrisation, Transform, parametrise
 Objective = Callable[[Any], Array]
 GRADIENTS = ("forward", "reverse")
 FORMAT = 1
-_GAINS = {kind.__name__: kind for kind in (SlidingModeGains,)}
+_GAINS = {kind.__name__: kind for kind in (SlidingModeGains, TrackingGains)}
 
 
 class _Start(NamedTuple):

@@ -44,22 +44,16 @@ _OUTPUT_PAIR, _JOINT_PAIR = (THETA, PHI), (BETA1, BETA2)
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class TrackingGains:
-    """Gains of the outer loop; the defaults are Table 4.
+    """Gains of tracking; the defaults of k1..k4 are Table 4.
 
-    k1, k3 (1/s2): on the errors of x and y. k2, k4 (1/s): on their rates.
+    k1, k3 (1/s2): on the errors of x and y. k2, k4 (1/s): on their rates. The others belong to "pendulum_attitude": k_p (1/s2)
+    and k_d (1/s) of both joints, and a_max (m/s2), the largest demand.
     """
 
     k1: Real = 49.0
     k2: Real = 14.0
     k3: Real = 49.0
     k4: Real = 14.0
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class AttitudeGains:
-    """Gains of `pendulum_attitude`: k_p (1/s2) and k_d (1/s) of both joints, a_max (m/s2), the largest demand."""
-
     k_p: Real = 900.0
     k_d: Real = 60.0
     a_max: Real = 1.0
@@ -77,10 +71,10 @@ class Signals(NamedTuple):
     torque: tuple[Array, ...]  # before the torque limit, N m; five accelerations, rad/s2, for "ideal"
 
 
-def check_gains(gains: TrackingGains | AttitudeGains, name: str = "gains") -> TrackingGains | AttitudeGains:
+def check_gains(gains: TrackingGains, name: str = "gains") -> TrackingGains:
     """Check gains on the host and return them. Raises ValueError for a gain that is not one finite positive number."""
-    if not isinstance(gains, TrackingGains | AttitudeGains):
-        raise TypeError(f"{name} = {gains!r} are no gains of tracking; type jaxsphere.TrackingGains(k1=49.0, ...)")
+    if not isinstance(gains, TrackingGains):
+        raise TypeError(f"{name} = {gains!r} are no TrackingGains; type jaxsphere.TrackingGains(k1=49.0, ...)")
     for leaf in fields(gains):
         require_scalar(f"{name}.{leaf.name}", getattr(gains, leaf.name), above=0.0)
     return gains
@@ -171,18 +165,17 @@ def _upright_sign(lumped: Lumped, pair: tuple[int, int]) -> Real:
     return jnp.sign((coupling - about_y) * (coupling - about_z))
 
 
-def joint_accelerations(inner: AttitudeGains, joints: Joints, rates: Pair) -> Pair:
+def joint_accelerations(gains: TrackingGains, joints: Joints, rates: Pair) -> Pair:
     """Accelerations k_p (beta* - beta) + k_d (beta*' - beta') of the two joints, rad/s2."""
     return (
-        inner.k_p * joints.error[0] + inner.k_d * (joints.rate[0] - rates[0]),
-        inner.k_p * joints.error[1] + inner.k_d * (joints.rate[1] - rates[1]),
+        gains.k_p * joints.error[0] + gains.k_d * (joints.rate[0] - rates[0]),
+        gains.k_p * joints.error[1] + gains.k_d * (joints.rate[1] - rates[1]),
     )
 
 
 def signals(
     lumped: Lumped,
     gains: TrackingGains,
-    inner: AttitudeGains,
     reference: Reference,
     state: State,
     realisation: str = "pendulum_attitude",
@@ -190,21 +183,21 @@ def signals(
     """Evaluate the law at one state.
 
     Args:
-        lumped: robot and slope that the controller believes in. gains, inner: the gains. reference: desired motion at this
-        instant. state: 12 components.
+        lumped: robot and slope that the controller believes in. gains: the gains. reference: desired motion at this instant.
+        state: 12 components. realisation: one of REALISATIONS.
     """
     velocity = spatial_momentum.center_velocity(lumped, state)
     error = tracking_error(reference, state)
     demand = demanded_acceleration(gains, reference, error, velocity)
     attitude = realisation == "pendulum_attitude"
-    limited = limit(demand, inner.a_max) if attitude else demand
+    limited = limit(demand, gains.a_max) if attitude else demand
     lean = balancing_lean(lumped, limited)
     joints = joints_to(state, lean.direction)
     terms = spatial.affine(lumped, state)
     about_theta, about_phi = assigned_accelerations(lumped, state, limited)
     pair, wanted = _OUTPUT_PAIR, (about_theta, about_phi)
     if attitude:
-        pair, wanted = _JOINT_PAIR, joint_accelerations(inner, joints, (state[10], state[11]))
+        pair, wanted = _JOINT_PAIR, joint_accelerations(gains, joints, (state[10], state[11]))
     zero = jnp.zeros_like(about_theta)
     if realisation == "ideal":
         torque = zero, about_theta, about_phi, zero, zero
@@ -220,7 +213,6 @@ def law(
     slope: Real,
     gains: TrackingGains,
     reference: ReferenceFunction,
-    inner: AttitudeGains | None = None,
     realisation: str = "pendulum_attitude",
 ) -> Callable[[Array, State, tuple[Array, ...]], Command]:
     """Build the control law (time, state, memory) -> Command; it has no memory.
@@ -230,18 +222,17 @@ def law(
     SINGULAR_DECOUPLING where no torques give what is asked for.
 
     Args:
-        robot: the robot that the controller believes in. slope: rad. gains: k1..k4. reference: time -> Reference.
-        inner: gains of "pendulum_attitude". realisation: one of REALISATIONS.
+        robot: the robot that the controller believes in. slope: rad. gains: the gains. reference: time -> Reference.
+        realisation: one of REALISATIONS.
     """
     require_choice("realisation", realisation, REALISATIONS)
-    inner = AttitudeGains() if inner is None else inner
     lumped = spatial_momentum.lump(robot, slope)
     holdable = balancing_lean(lumped, (0.0, 0.0)).margin >= 0.0
     resting = jnp.where(holdable | (realisation == "ideal"), code(Status.OK), code(Status.INFEASIBLE_LEAN))
 
     def control(time: Array, state: State, memory: tuple[Array, ...]) -> Command:
         del memory
-        now = signals(lumped, gains, inner, reference(time), state, realisation)
+        now = signals(lumped, gains, reference(time), state, realisation)
         solvable = (now.determinant > 0.0) | (realisation in ("ideal", "pseudo_inverse"))
         status = jnp.where(solvable, resting, code(Status.SINGULAR_DECOUPLING))
         if realisation == "pendulum_attitude":
