@@ -93,7 +93,7 @@ def test_positive_margin_keeps_the_divisor_positive_and_a_negative_one_does_not(
     worst = np.arange(count) % 2 == 0
     states[worst, 1] = -np.asarray(gains.c1)[worst] * (states[worst, 0] - TARGET)
     states[worst, 2] = slope
-    per_lane = jax.vmap(lambda gains, state: signals_of(robot, slope, gains, state, 0.0).decoupling)
+    per_lane = jax.jit(jax.vmap(lambda gains, state: signals_of(robot, slope, gains, state, 0.0).decoupling))
     divisor = np.asarray(per_lane(js.SlidingModeGains(*map(jnp.asarray, per_field(gains, count))), states))
     assert np.all(divisor[margin > 0.0] > 0.0)
     assert np.all(divisor[worst & (margin < 0.0)] < 0.0)
@@ -119,9 +119,9 @@ def test_sliding_mode_poles_are_the_roots_of_the_polynomial(robot, gains, seekin
 
 
 def test_poles_of_table_3_are_hurwitz_and_those_of_a_stiff_outer_loop_are_not(slope):
-    assert np.all(js.sliding_mode_poles(js.Robot(), slope, TABLE_3).real < 0.0)
+    assert np.all(poles_of(js.Robot(), slope, TABLE_3, seeking=False).real < 0.0)
     eager = replace(TABLE_3, c1=8.0)
-    assert np.any(js.sliding_mode_poles(js.Robot(), slope, eager).real > 0.0)
+    assert np.any(poles_of(js.Robot(), slope, eager, seeking=False).real > 0.0)
 
 
 def test_correction_stops_at_its_limit_and_returns(slope):
@@ -178,7 +178,8 @@ def signals_of(robot, slope, gains, state, correction, smoothing=SMOOTHING, conv
 
 def evaluate(robot, slope, gains, states, corrections, convention):
     """Signals of the law at many states."""
-    return jax.vmap(lambda x, zeta: signals_of(robot, slope, gains, x, zeta, convention=convention))(states, corrections)
+    lanes = jax.vmap(lambda x, zeta: signals_of(robot, slope, gains, x, zeta, convention=convention))
+    return jax.jit(lanes)(states, corrections)
 
 
 def surface_rate(robot, slope, gains, states, corrections, smoothing, convention):

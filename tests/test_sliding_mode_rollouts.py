@@ -42,7 +42,7 @@ def test_reaching_condition_holds_outside_the_boundary_layer(smoothed, slope):
 
         return jax.jvp(surface, (state,), (jnp.stack(js.planar.derivative(lumped, tuple(state), (torque,))),))
 
-    per_step = jax.vmap(jax.vmap(along, (0, 0, None)))
+    per_step = jax.jit(jax.vmap(jax.vmap(along, (0, 0, None))))
     s2, rate = (np.asarray(x) for x in per_step(smoothed.state, smoothed.torque[..., 0], STARTS[:, 0] + 10.0))
     np.testing.assert_allclose(s2, smoothed.diagnostics.s2, rtol=1e-9, atol=1e-10)  # rounding of alpha of some 10 rad
     outside = np.abs(s2) > 3 * SMOOTHING
