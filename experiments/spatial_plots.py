@@ -47,7 +47,7 @@ def tracking_figure(title: str, tracks: Sequence[Track], limit: float | None = N
         torque.axhline(limit, color="0.4", linewidth=0.8)
         torque.axhline(-limit, color="0.4", linewidth=0.8)
     path.plot(*tracks[0].trajectory.state[0, :2], "o", color="0.2", markersize=5)
-    path.set_aspect("equal", adjustable="datalim")
+    path.set_aspect("equal", adjustable="datalim" if zoom is None else "box")
     name_axes(path, "x up-slope (m)", "y (m)", title="path of the centre, dot: start")
     name_axes(distance, "time (s)", "distance from the reference (cm)")
     name_axes(torque, "time (s)", "drive torque τ1 (N m)", legend=False)

@@ -29,8 +29,10 @@ FROZEN = None
 
 # The transforms of each kind of gains that the package knows, by the name of the field.
 _KNOWN: dict[Any, dict[str, Any]] = {
-    TrackingGains: dict.fromkeys(("k1", "k2", "k3", "k4"), POSITIVE) | dict.fromkeys(("k_p", "k_d", "a_max"), FROZEN),
     SlidingModeGains: dict.fromkeys(("c1", "c2", "phi_z", "eta", "k"), POSITIVE) | {"z_u": UNIT, "k_i": FROZEN},
+    TrackingGains: {
+        name: POSITIVE if name in ("k1", "k2", "k3", "k4") else FROZEN for name in TrackingGains.__dataclass_fields__
+    },
 }
 
 

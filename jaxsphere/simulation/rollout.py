@@ -128,7 +128,8 @@ def rollout(
 
         measured = loop.measured
         if measure is not None:
-            measured = _where(alive, measure.update(measured, time, loop.x, now.torque, jnp.where(moving, dt, 0.0)), measured)
+            update = measure.update(measured, time, loop.x, now.torque, jnp.where(moving, dt, 0.0))
+            measured = _where(alive & defined & finite, update, measured)
         torque = tuple(jnp.where(defined, u, 0.0) for u in now.torque)
         y = _where(moves, ahead, y)
         after = _Loop(
