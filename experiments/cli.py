@@ -8,7 +8,15 @@ from typing import Annotated
 
 import tyro
 
-from experiments.options import MotionOptions, RobotOptions, SlidingModeOptions, TuningOptions
+from experiments.options import (
+    MotionOptions,
+    RobotOptions,
+    SlidingModeOptions,
+    TrackingGainOptions,
+    TrackOptions,
+    TrackTuningOptions,
+    TuningOptions,
+)
 from jaxsphere import RolloutError
 from jaxsphere.simulation.lanes import use_all_cores
 
@@ -66,13 +74,48 @@ class TunePlanar:
 
 
 @dataclass
+class SimulateSpatial:
+    """Follow a path on the slope with the spatial robot."""
+
+    robot: RobotOptions = field(default_factory=RobotOptions)
+    plant: RobotOptions = field(default_factory=RobotOptions)
+    """The true robot, where it differs from the one that the controller believes in."""
+    gains: Annotated[TrackingGainOptions, tyro.conf.arg(name="")] = field(default_factory=TrackingGainOptions)
+    motion: Annotated[TrackOptions, tyro.conf.arg(name="")] = field(default_factory=TrackOptions)
+    out: str = "out"
+    """Folder for pictures, metrics.json and manifest.json."""
+
+    def run(self) -> None:
+        from experiments import commands
+
+        commands.simulate_spatial(self)
+
+
+@dataclass
+class TuneSpatial:
+    """Improve the gains of the tracking controller by gradients through rollouts."""
+
+    robot: RobotOptions = field(default_factory=RobotOptions)
+    gains: Annotated[TrackingGainOptions, tyro.conf.arg(name="")] = field(default_factory=TrackingGainOptions)
+    """Where to start."""
+    tuning: Annotated[TrackTuningOptions, tyro.conf.arg(name="")] = field(default_factory=TrackTuningOptions)
+    out: str = "out"
+    """Folder for pictures, tuning.json, metrics.json and manifest.json."""
+
+    def run(self) -> None:
+        from experiments import commands
+
+        commands.tune_spatial(self)
+
+
+@dataclass
 class Bench:
     """Measure speed against peers in the same run."""
 
     case: str = "planar"
-    """What to measure: planar."""
-    lanes: int = 8192
-    """Rollouts in the batch."""
+    """What to measure: planar or spatial."""
+    lanes: int | None = None
+    """Rollouts in the batch; 8192 planar or 1024 spatial ones by default."""
     steps: int = 1000
     """Steps of each rollout."""
     out: str = "out"
@@ -87,7 +130,9 @@ class Bench:
 COMMANDS: dict[str, type] = {
     "reproduce": Reproduce,
     "simulate planar": SimulatePlanar,
+    "simulate spatial": SimulateSpatial,
     "tune planar": TunePlanar,
+    "tune spatial": TuneSpatial,
     "bench": Bench,
 }
 

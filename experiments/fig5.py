@@ -48,27 +48,27 @@ def reproduce(record: Record, progress: bool = True) -> dict[str, Any]:
     pictures = {
         "fig5_ideal": spatial_plots.tracking_figure(
             "The claim: v' = u with no torques (“ideal”), Table 4",
-            [_named(f"{v:g} m/s", ideal[v], v) for v in SPEEDS],
+            [named(f"{v:g} m/s", ideal[v], v) for v in SPEEDS],
             zoom=ZOOM,
         ),
         "fig5": spatial_plots.tracking_figure(
             "The robot: pendulum attitude, Table 4, |τ| ≤ 5 N m, 1 kHz hold, 10° slope",
-            [_named(f"{v:g} m/s", robot[v], v) for v in SPEEDS],
+            [named(f"{v:g} m/s", robot[v], v) for v in SPEEDS],
             TORQUE_LIMIT,
             ZOOM,
         ),
         "fig5_realisations": spatial_plots.realisations_figure(
             "Three readings of the controller on the robot at 0.5 m/s, |τ| ≤ 5 N m",
-            [_named(name.replace("_", " "), run, 0.5) for name, run in {**readings, "pendulum_attitude": robot[0.5]}.items()],
+            [named(name.replace("_", " "), run, 0.5) for name, run in {**readings, "pendulum_attitude": robot[0.5]}.items()],
             until=2.5,
         ),
         "fig5_tuned": spatial_plots.tracking_figure(
             "Table 4 against tuned gains at 0.5 m/s, |τ| ≤ 5 N m, 1 kHz hold",
-            [_named("Table 4", robot[0.5], 0.5), _named("tuned", tuned[0.5], 0.5)],
+            [named("Table 4", robot[0.5], 0.5), named("tuned", tuned[0.5], 0.5)],
             TORQUE_LIMIT,
             ZOOM,
         ),
-        "fig5_friction": spatial_plots.friction_figure([_named(f"{v:g} m/s", robot[v], v) for v in SPEEDS]),
+        "fig5_friction": spatial_plots.friction_figure([named(f"{v:g} m/s", robot[v], v) for v in SPEEDS]),
         "fig5_tuning": convergence_figure(result),
     }
     for name, picture in pictures.items():
@@ -108,6 +108,12 @@ def figures(trajectory: js.Trajectory) -> dict[str, Any]:
     return numbers
 
 
+def score(robot: js.Robot, slope: float, gains: js.TrackingGains, speed: float, torque_limit: float) -> js.Trajectory:
+    """Follow y = x from Table 4's start for 20 s with a 1 kHz hold, whatever the gains were tuned with."""
+    options: dict[str, Any] = {"control_period": CONTROL_PERIOD, "save_every": 10, "throw": False}
+    return js.track_line(robot, slope, gains, speed, duration=DURATION, torque_limit=torque_limit, **options)
+
+
 def _line(gains: js.TrackingGains, speed: float, realisation: str = "pendulum_attitude", **options: Any) -> js.Trajectory:
     hold = None if realisation == "ideal" else CONTROL_PERIOD
     run = partial(js.track_line, js.Robot(), SLOPE, gains, speed, realisation, DURATION, torque_limit=TORQUE_LIMIT)
@@ -125,9 +131,14 @@ def _curves(gains: js.TrackingGains) -> dict[str, js.Trajectory]:
     return {name: run(reference=reference, **options) for name, reference in curves.items()}
 
 
-def _named(label: str, trajectory: js.Trajectory, speed: float) -> Track:
-    positions = jax.vmap(js.references.line(speed))(trajectory.time).position
-    return Track(label, trajectory, np.stack([np.asarray(x) for x in positions], axis=-1))
+def positions(reference: js.references.ReferenceFunction, time: jax.Array) -> np.ndarray:
+    """Positions (T, 2) of a reference at the times (T,), m."""
+    return np.stack([np.asarray(x) for x in jax.vmap(reference)(time).position], axis=-1)
+
+
+def named(label: str, trajectory: js.Trajectory, speed: float) -> Track:
+    """Trajectory along y = x with its label and reference."""
+    return Track(label, trajectory, positions(js.references.line(speed), trajectory.time))
 
 
 def _from_59(trajectory: js.Trajectory, speed: float) -> float:
@@ -135,7 +146,7 @@ def _from_59(trajectory: js.Trajectory, speed: float) -> float:
     time = np.asarray(trajectory.time)[:, None]
     rate = -speed * np.sqrt(0.5) * np.ones(2)
     solution = (np.array(START) + (rate + 7.0 * np.array(START)) * time) * np.exp(-7.0 * time)
-    error = np.asarray(trajectory.state)[:, :2] - _named("", trajectory, speed).reference
+    error = np.asarray(trajectory.state)[:, :2] - named("", trajectory, speed).reference
     return float(np.max(np.hypot(*(error - solution).T)))
 
 
