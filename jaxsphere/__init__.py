@@ -38,8 +38,7 @@ from jaxsphere.models.climbing import (  # noqa: E402
 from jaxsphere.robot import Robot, check_robot, robot_named, robots  # noqa: E402
 from jaxsphere.simulation.host import RolloutError  # noqa: E402
 from jaxsphere.simulation.rollout import Measure, Plant, Trajectory, rollout  # noqa: E402
-from jaxsphere.tasks import require_holdable, rest_to_rest  # noqa: E402
-from jaxsphere.track import track, track_line  # noqa: E402
+from jaxsphere.tasks import require_holdable, rest_to_rest, track, track_line  # noqa: E402
 
 __all__ = [
     "TrackingGains",

@@ -1,4 +1,4 @@
-"""The paper's experiments as one call each: a robot, a law and a rollout put together, checked on the host."""
+"""From rest to rest as one call: the planar robot under sliding-mode control (the case of Fig. 4)."""
 
 from __future__ import annotations
 
