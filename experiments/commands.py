@@ -11,7 +11,7 @@ import jaxsphere as js
 import tuning
 from experiments import benchmark, fig4, fig5, plotting, spatial_plots
 from experiments.records import Record
-from jaxsphere.checks import require_choice, require_scalar
+from jaxsphere.checks import require_choice, require_count, require_scalar
 
 if TYPE_CHECKING:
     from experiments.cli import SimulatePlanar, SimulateSpatial, TunePlanar, TuneSpatial
@@ -203,8 +203,8 @@ def bench(case: str, lanes: int | None, steps: int, out: str) -> None:
     """Run one benchmark."""
     require_choice("case", case, tuple(benchmark.CASES))
     if lanes is not None:
-        require_scalar("lanes", lanes, above=0)
-    require_scalar("steps", steps, above=0)
+        require_count("lanes", lanes)
+    require_count("steps", steps)
     record = Record(out)
     run, default = benchmark.CASES[case]
     lanes = lanes or default

@@ -42,6 +42,12 @@ def require_scalar(
         raise ValueError(f"{name} = {float(number):g}{_unit(unit)} is not admissible; {hint or _range(above, below, or_equal)}")
 
 
+def require_count(name: str, value: Any) -> None:
+    """Require a whole number of at least one. Raises ValueError otherwise."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise ValueError(f"{name} = {value!r} is not admissible; type a whole number of at least 1")
+
+
 def require_finite_vector(name: str, value: Any, length: int, entries: str) -> None:
     """Require `length` finite numbers; `entries` says what they are. Raises ValueError otherwise."""
     if jax.numpy.shape(value) != (length,):

@@ -128,7 +128,10 @@ def check_robot(robot: Robot, name: str = "robot") -> Robot:
 
 
 def _check_moments(name: str, value: Real, zero_allowed: bool) -> None:
-    moments = np.asarray(value, dtype=np.float64)
+    try:
+        moments = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} = {value!r} are no numbers; type three principal moments (x, y, z) in kg m2") from None
     bound = "finite and not negative" if zero_allowed else "finite and positive"
     if moments.shape != (3,):
         raise ValueError(f"{name} has shape {moments.shape}; type three principal moments (x, y, z) in kg m2")

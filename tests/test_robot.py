@@ -125,3 +125,8 @@ def fault(robot: js.Robot) -> str:
     assert "\n" not in message
     assert "; type " in message or "jax.vmap" in message
     return message
+
+
+def test_moments_that_are_words_are_named():
+    with pytest.raises(ValueError, match="shell_inertia"):
+        js.check_robot(replace(js.Robot(), shell_inertia=["a", "b", "c"]))

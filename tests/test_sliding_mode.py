@@ -198,3 +198,9 @@ def surface_rate(robot, slope, gains, states, corrections, smoothing, convention
         return s2, s2_rate, 1.0 + (gains.c2 * b1 + b2) * jnp.abs(torque)
 
     return (np.asarray(x) for x in jax.jit(jax.vmap(one))(states, corrections))
+
+
+def test_three_poles_of_a_seeking_law_are_those_without_seeking(slope):
+    poles = js.sliding_mode_poles(js.Robot(), slope, SEEKING)
+    roots = np.roots(polynomial(js.Robot(), slope, replace(SEEKING, k_i=0.0), False))
+    np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(roots), rtol=1e-8)

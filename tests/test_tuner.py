@@ -229,3 +229,29 @@ def test_bad_arguments_get_one_sentence(case):
     with pytest.raises(ValueError, match=message) as caught:
         quiet(**settings)
     assert "\n" not in str(caught.value)
+
+
+def test_result_does_not_depend_on_the_chunk_and_its_best_is_in_the_history():
+    coarse, fine = quiet(iterations=15, chunk=10), quiet(iterations=15, chunk=5)
+    assert coarse.objective == fine.objective == coarse.history["objective"].min()
+
+
+@pytest.mark.parametrize("content", ['"text"', "3", "null"])
+def test_json_that_is_no_object_is_refused(tmp_path, content):
+    path = tmp_path / "result.json"
+    path.write_text(content)
+    with pytest.raises(ValueError, match="no tuning result"):
+        tuning.TuningResult.load(path)
+
+
+def test_history_that_is_no_table_is_refused(tmp_path):
+    path = quiet().save(tmp_path / "result.json")
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"history": [1, 2]}))
+    with pytest.raises(ValueError, match="no tuning result"):
+        tuning.TuningResult.load(path)
+
+
+@pytest.mark.parametrize("name", ["iterations", "starts", "chunk"])
+def test_a_count_is_a_whole_number(name):
+    with pytest.raises(ValueError, match=f"{name} = 2.5"):
+        quiet(**{name: 2.5})

@@ -16,7 +16,7 @@ from jax import Array
 from tqdm.auto import tqdm
 
 from jaxsphere import SlidingModeGains, TrackingGains
-from jaxsphere.checks import require_choice, require_scalar
+from jaxsphere.checks import require_choice, require_count, require_scalar
 from jaxsphere.files import to_plain, write_json
 from jaxsphere.simulation.lanes import over_lanes
 from tuning.optimisers import Optimiser, adam, cosine_decay
@@ -33,6 +33,7 @@ class _Start(NamedTuple):
     optimiser: Any
     best_vector: Array
     best: Array
+    left: Array  # iterations still to do
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +41,8 @@ class TuningResult:
     """What tuning found.
 
     gains: the best gains seen in any start; objective: their value. initial_gains, initial_objective: where it began.
-    history: "objective" and "gradient_norm", each (iterations, starts). status: "finished", "interrupted" (by Ctrl-C) or
-    "failed" (no start ever had a finite objective). names: the free gains. evaluations: rollouts with gradient.
+    history: "objective" and "gradient_norm", each (iterations, starts). status: "finished" or "interrupted" (by Ctrl-C).
+    names: the free gains. evaluations: rollouts with gradient.
     """
 
     gains: Any
@@ -85,7 +86,7 @@ class TuningResult:
             history = content.pop("history")
             arrays = {name: np.array(rows, dtype=np.float64).reshape(len(rows), -1) for name, rows in history.items()}
             return cls(history=arrays, **content | {"names": tuple(content["names"])})
-        except (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise ValueError(
                 f"{os.fspath(path)} is no tuning result of this version; type a file that TuningResult.save wrote"
             ) from error
@@ -142,7 +143,7 @@ def tune(
         ValueError: an argument is not admissible, or the objective is no scalar or not finite at every start.
     """
     for name, value in (("iterations", iterations), ("starts", starts), ("chunk", chunk)):
-        require_scalar(name, value, above=0)
+        require_count(name, value)
     require_scalar("learning_rate", learning_rate, above=0.0)
     require_scalar("spread", spread, above=0.0, or_equal=True)
     chosen = parametrise(initial_gains, frozen, transforms)
@@ -158,14 +159,25 @@ def tune(
 
     def iterate(start: _Start, _: None) -> tuple[_Start, tuple[Array, Array]]:
         value, slope = evaluate(start.vector)
-        better = value < start.best
-        vector, state = optimiser.update(slope, start.optimiser, start.vector)
+        active = start.left > 0
+        better = active & (value < start.best)
+        vector, state = jax.tree.map(
+            lambda new, old: jnp.where(active, new, old),
+            optimiser.update(slope, start.optimiser, start.vector),
+            (start.vector, start.optimiser),
+        )
         best = jnp.where(better, value, start.best)
-        after = _Start(vector, state, jnp.where(better, start.vector, start.best_vector), best)
+        after = _Start(vector, state, jnp.where(better, start.vector, start.best_vector), best, start.left - 1)
         return after, (value, jnp.sqrt(jnp.sum(slope * slope)))
 
     run = over_lanes(lambda start: jax.lax.scan(iterate, start, None, length=chunk))
-    batch = _Start(vectors, jax.vmap(optimiser.init)(vectors), vectors, jnp.full((starts,), jnp.inf, float))
+    batch = _Start(
+        vectors,
+        jax.vmap(optimiser.init)(vectors),
+        vectors,
+        jnp.full((starts,), jnp.inf, float),
+        jnp.full((starts,), iterations),
+    )
     history: list[tuple[np.ndarray, np.ndarray]] = []
     status = "finished"
     with tqdm(total=iterations, desc="tuning", unit="step", disable=not progress) as bar:

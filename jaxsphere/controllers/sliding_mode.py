@@ -18,7 +18,7 @@ Differs from the paper:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import jax
@@ -213,10 +213,10 @@ def law(
 
 
 def nonsingularity_margin(robot: Robot, gains: SlidingModeGains) -> Real:
-    """How far (12) is from dividing by zero in any state: positive is safe, 1 is safest, dimensionless.
+    """How far (12) is from dividing by zero in any state: positive is safe, more is safer, dimensionless.
 
     The divisor stays positive for every state when (z_U c2 / Phi_z) (m_p r l - M22) < M11 - m_p r l. The margin is one minus
-    the ratio of the two sides. It is sufficient, not necessary, and holds for the corrected sign of z.
+    the ratio of the two sides. It holds for the corrected sign of z, and is necessary too while m_p r l > M22.
     """
     lumped = planar.lump(robot, 0.0)
     steepest = gains.z_u * gains.c2 / gains.phi_z
@@ -231,6 +231,7 @@ def sliding_mode_poles(robot: Robot, slope: Real, gains: SlidingModeGains, *, se
     """
     lumped = planar.lump(robot, slope)
     equilibrium = climbing.equilibrium_swing(robot, slope)
+    gains = gains if seeking else replace(gains, k_i=0.0)
 
     def on_surface(reduced: Array) -> Array:
         alpha, alpha_rate, swing, correction = reduced

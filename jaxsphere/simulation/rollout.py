@@ -122,26 +122,26 @@ def rollout(
         defined = now.status == Status.OK
         finite = jnp.isfinite(sum(ahead[1:], ahead[0]))
         moving = alive & (index < steps)
-        moves = moving & defined & finite
+        sound = alive & defined & finite
+        moves = moving & sound
         fate = jnp.where(finite, plant.status(ahead[: len(state)]), code(Status.NONFINITE))
         fate = jnp.where(defined, fate, now.status)
 
         measured = loop.measured
         if measure is not None:
             update = measure.update(measured, time, loop.x, now.torque, jnp.where(moving, dt, 0.0))
-            measured = _where(alive & defined & finite, update, measured)
-        torque = tuple(jnp.where(defined, u, 0.0) for u in now.torque)
+            measured = _where(sound, update, measured)
         y = _where(moves, ahead, y)
         after = _Loop(
             x=y[: len(state)],
             memory=y[len(state) :],
-            torque=_where(alive, torque, loop.torque),
+            torque=_where(sound, now.torque, loop.torque),
             held=held,
             status=jnp.where(moving, fate, loop.status),
             end_time=jnp.where(moves, time + dt, loop.end_time),
             measured=measured,
         )
-        return after, _where(alive, torque, tuple(jnp.zeros_like(u) for u in torque))
+        return after, _where(sound, now.torque, tuple(jnp.zeros_like(u) for u in now.torque))
 
     def sample(loop: _Loop, first: Array) -> tuple[_Loop, tuple[State, State, State] | None]:
         after, torques = jax.lax.scan(advance, loop, first + jnp.arange(block))
@@ -163,6 +163,11 @@ def rollout(
     if saved is None:
         saved = jax.tree.map(lambda leaf: leaf[None], (loop.x, loop.memory, loop.torque))
     x, memory, torque = saved
+    metrics = None
+    if measure is not None:
+        # A lane that ended early has not been measured at its last state.
+        last = measure.update(loop.measured, loop.end_time, loop.x, loop.torque, zero)
+        metrics = measure.finish(_where(loop.status == Status.OK, loop.measured, last))
     return Trajectory(
         time=jnp.asarray([steps] if save_every is None else blocks) * dt,
         state=jnp.stack(x, -1),
@@ -170,7 +175,7 @@ def rollout(
         memory=jnp.stack(memory, -1) if memory else jnp.zeros((len(x[0]), 0), zero.dtype),
         status=loop.status,
         end_time=loop.end_time,
-        metrics=None if measure is None else measure.finish(loop.measured),
+        metrics=metrics,
     )
 
 
