@@ -89,6 +89,11 @@ FAULTS = [
     (["tune", "planar", "--frozen", "c3"], "c3"),
     (["tune", "planar", "--swing-weight", "-1"], "swing_weight = -1"),
     (["tune", "planar", "--gradient", "sideways"], "forward, reverse"),
+    (["simulate", "spatial", "--robot.shell-inertia", "0.018", "0.02", "0.018"], "symmetric about its spin axis"),
+    (["simulate", "spatial", "--slope-deg", "19"], "18.76 deg"),
+    (["simulate", "spatial", "--path", "knot"], "line, circle, eight"),
+    (["simulate", "spatial", "--k2", "0"], "gains.k2 = 0"),
+    (["simulate", "spatial", "--realisation", "perfect"], "pendulum_attitude"),
     (["reproduce", "fig9"], "fig4"),
     (["bench", "--case", "cubic"], "planar"),
     (["bench", "--lanes", "0"], "lanes = 0"),
@@ -126,3 +131,53 @@ def test_overview_names_every_command(capsys):
     assert code == 0
     for name in cli.COMMANDS:
         assert name in out
+
+
+def test_simulate_spatial_follows_a_path_of_the_users_choice(capsys, tmp_path):
+    words = ["--path", "circle", "--speed", "0.3", "--a-max", "0.9", "--duration", "1", "--dt", "4e-3"]
+    code, out, err = run(capsys, "simulate", "spatial", *words, "--out", str(tmp_path))
+    assert code == 0, err
+    numbers = json.loads((tmp_path / "metrics.json").read_text())["simulation"]
+    assert numbers["status"] == "ok"
+    assert 0.0 < numbers["friction_coefficient_needed"] < 10.0
+    assert "rms_error_cm" in out
+    assert json.loads((tmp_path / "manifest.json").read_text())["gains"]["a_max"] == 0.9
+    assert sorted(p.suffix for p in tmp_path.iterdir()) == [".json", ".json", ".png", ".png"]
+
+
+def test_tune_spatial_writes_gains_that_load_again(capsys, tmp_path):
+    import tuning
+
+    words = ["--iterations", "2", "--starts", "1", "--duration", "1", "--speeds", "0.3", "--no-progress"]
+    code, out, err = run(capsys, "tune", "spatial", *words, "--out", str(tmp_path))
+    assert code == 0, err
+    result = tuning.TuningResult.load(tmp_path / "tuning.json")
+    assert result.gains.k_p == 900.0
+    assert result.gains.k1 != 49.0
+    assert "after, 0.3 m/s" in out
+
+
+def test_reproduce_fig4_gives_the_reference_numbers(capsys, tmp_path):
+    code, _, err = run(capsys, "reproduce", "fig4", "--no-progress", "--out", str(tmp_path))
+    assert code == 0, err
+    numbers = json.loads((tmp_path / "metrics.json").read_text())["fig4"]
+    assert numbers["climbing_bound_deg"] == pytest.approx(18.7578, abs=5e-5)
+    assert numbers["equilibrium_swing_deg"] == pytest.approx(32.684, abs=5e-4)
+    assert numbers["zero_dynamics_poles"] == pytest.approx([-26.81, 26.81], abs=5e-3)
+    table = numbers["table_3"]
+    assert table["settling_time_s"] == pytest.approx(6.36, abs=5e-3)
+    assert table["swing_range_deg"] == pytest.approx([21.2, 52.0], abs=0.05)
+    assert table["overshoot"] == 0.0
+    assert numbers["table_3_printed_sign"]["status"] == "diverged"
+    assert numbers["table_3_printed_sign"]["final_error_rad"] < -1000.0
+    tuned = numbers["scored_with_hard_sign_1kHz_hold"]["tuned"]
+    assert tuned["settling_time_s"] <= 3.6
+    assert tuned["peak_swing_about_equilibrium_deg"] <= 20.5
+    assert tuned["peak_torque_Nm"] <= 5.0
+    mismatch = numbers["pendulum_mass_mismatch"]
+    for factor in ("0.9", "1.1"):
+        assert mismatch["table_3"][f"pendulum_mass_x{factor}"]["status"] in ("diverged", "not_settled")
+        # The law stops (Phi_z / c1) artanh(change of phi_0 / z_U) away, about 0.6 rad with these gains.
+        assert 0.4 < abs(mismatch["tuned"][f"pendulum_mass_x{factor}"]["final_error_rad"]) < 0.8
+        assert mismatch["tuned_with_k_i"][f"pendulum_mass_x{factor}"]["status"] == "ok"
+        assert abs(mismatch["tuned_with_k_i"][f"pendulum_mass_x{factor}"]["final_error_rad"]) < 0.01
