@@ -37,6 +37,7 @@ from jaxsphere.models.climbing import (  # noqa: E402
 )
 from jaxsphere.robot import Robot, check_robot, robot_named, robots  # noqa: E402
 from jaxsphere.simulation.host import RolloutError  # noqa: E402
+from jaxsphere.simulation.lanes import over_lanes, use_all_cores  # noqa: E402
 from jaxsphere.simulation.rollout import Measure, Plant, Trajectory, rollout  # noqa: E402
 from jaxsphere.tasks import require_holdable, rest_to_rest, track, track_line  # noqa: E402
 
@@ -61,6 +62,7 @@ __all__ = [
     "equilibria",
     "equilibrium_swing",
     "nonsingularity_margin",
+    "over_lanes",
     "planar",
     "require_holdable",
     "rest_to_rest",
@@ -69,5 +71,6 @@ __all__ = [
     "rollout",
     "sliding_mode",
     "sliding_mode_poles",
+    "use_all_cores",
     "zero_dynamics_poles",
 ]
