@@ -174,10 +174,15 @@ def _from_pairs(function: Callable[[Array], object], time: Array) -> Reference:
     return Reference(*_pairs(function(time)))
 
 
+@jax.jit
+def _sampled(reference: ReferenceFunction, times: Array) -> Reference:
+    return jax.vmap(reference)(times)
+
+
 def check_reference(reference: ReferenceFunction, duration: float) -> None:
     """Look at a reference at 101 instants on the host. Raises ValueError if it is not finite; traced ones are passed over."""
     times = np.linspace(0.0, duration, 101)
-    values = jax.tree.leaves(jax.vmap(reference)(jnp.asarray(times)))
+    values = jax.tree.leaves(_sampled(reference, times))
     if is_concrete(values):
         finite = np.isfinite(np.stack(values)).all(axis=0)
         if not finite.all():
