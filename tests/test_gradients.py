@@ -42,8 +42,10 @@ def test_forward_equals_reverse_equals_central_differences_and_none_vanishes(cas
 def test_terms_reach_the_gradient_one_by_one():
     # Table 3 swings by more than 5 degrees, but by less than the default limit of 20.
     terms = replace(OBJECTIVE, swing_limit=np.deg2rad(5.0), duration=1.2).terms
+    moving = ("tracking", "swing", "torque", "chatter", "settling")  # the others are zero here or know no trajectory
     gradients = jax.jit(jax.jacfwd(terms))(js.SlidingModeGains())
-    for term, gradient in zip(tuning.Terms._fields, gradients, strict=True):
+    for term in moving:
+        gradient = getattr(gradients, term)
         assert all(getattr(gradient, name) != 0.0 for name in ("c1", "c2", "z_u", "phi_z", "eta", "k")), term
 
 
@@ -80,7 +82,8 @@ def test_gradient_of_a_lane_past_the_bound_is_finite_and_does_not_spoil_its_neig
 def richardson(gains, name):
     """Derivative with respect to one gain from central differences at h and 2 h, error of order h^4.
 
-    With h = 1e-3 of the gain the truncation is about 1e-12 and rounding 1e-16 / 1e-3 = 1e-13, of values of order one.
+    With h = 1e-4 of the gain the truncation is about 1e-16 and rounding 1e-16 / 1e-4 = 1e-12, of values of order one; a wider
+    step lets samples cross the swing limit, where the second derivative jumps.
     """
     value = float(getattr(gains, name))
 
@@ -88,5 +91,5 @@ def richardson(gains, name):
         up, down = (evaluate(replace(gains, **{name: value + sign * step})) for sign in (1.0, -1.0))
         return float(up - down) / (2.0 * step)
 
-    step = 1e-3 * value
+    step = 1e-4 * value
     return (4.0 * difference(step) - difference(2.0 * step)) / 3.0

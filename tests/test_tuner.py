@@ -113,7 +113,7 @@ def test_tuning_finds_the_minimum_and_keeps_the_frozen_gain(gradient):
 
 
 def test_tuning_a_rollout_improves_every_start_and_repeats_itself():
-    objective = tuning.RestToRest(duration=0.8, dt=2e-2)
+    objective = tuning.RestToRest(duration=0.8, dt=2e-2, weights=tuning.Weights(prior=0.0))
     settings = {"objective": objective, "starts": 3, "iterations": 15, "chunk": 5, "spread": 0.2}
     first = quiet(**settings)
     history = first.history["objective"]

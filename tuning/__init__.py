@@ -1,25 +1,39 @@
 """Gains by gradients through rollouts."""
 
-from tuning.objectives import FollowLine, RestToRest, Terms, Weights
+from tuning.following import FollowLine
+from tuning.objectives import BOUNDS, RestToRest, Term, Terms, Weights
 from tuning.optimisers import Optimiser, adam, cosine_decay
-from tuning.transforms import FROZEN, POSITIVE, UNIT, Parametrisation, Transform, parametrise
-from tuning.tuner import TuningResult, tune, value_and_gradient
+from tuning.result import TuningResult
+from tuning.second_order import Quadratic, lbfgs, levenberg_marquardt, quadratic
+from tuning.stability import hurwitz_margin
+from tuning.starts import latin_hypercube
+from tuning.transforms import FROZEN, POSITIVE, UNIT, Parametrisation, Transform, bounded, parametrise
+from tuning.tuner import tune, value_and_gradient
 
 __all__ = [
+    "BOUNDS",
     "FROZEN",
     "FollowLine",
     "POSITIVE",
     "UNIT",
     "Optimiser",
     "Parametrisation",
+    "Quadratic",
     "RestToRest",
+    "Term",
     "Terms",
     "Transform",
     "TuningResult",
     "Weights",
     "adam",
+    "bounded",
     "cosine_decay",
+    "hurwitz_margin",
+    "latin_hypercube",
+    "lbfgs",
+    "levenberg_marquardt",
     "parametrise",
+    "quadratic",
     "tune",
     "value_and_gradient",
 ]

@@ -1,7 +1,13 @@
-"""Objectives: weighted sums of named terms of a rollout, one number to make small."""
+"""Objective of a move from rest to rest: a sum of squares of named, smooth residuals, one number to make small.
+
+    objective(gains) = sum over the terms of weight x term,    term = sum of the squares of its residuals
+
+Every residual is smooth in the gains (a hinge only where its square is), so that second-order optimisers can use it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -10,45 +16,89 @@ import jax.numpy as jnp
 from jax import Array
 
 import jaxsphere as js
+from jaxsphere.checks import is_concrete
+from jaxsphere.controllers import sliding_mode
+from jaxsphere.models import planar
 from jaxsphere.numerics import Real
+from jaxsphere.simulation.metrics import SETTLING_BAND
+from jaxsphere.tasks.regulation import planar_plant
+from tuning.stability import hurwitz_margins
+
+Sums = tuple[Array, ...]
+
+# Ranges for Latin-hypercube starts of a robot like set A; within them 4 ms and 8 ms of hold keep the smoothed switching stable.
+BOUNDS = {"c1": (0.2, 1.5), "c2": (1.0, 8.0), "z_u": (0.2, 0.98), "phi_z": (2.0, 20.0), "eta": (0.5, 10.0), "k": (0.2, 10.0)}
+
+# Widths of the smooth |e| and of the smooth step into the settling band, of the travel.
+_TRACKING_WIDTH = 1e-3
+_SETTLING_WIDTH = 4e-3
+# Margins below these are penalised: of the divisor of (12) and of Routh's column.
+_LEAST_NONSINGULARITY = 0.2
+_LEAST_HURWITZ = 0.1
 
 
 class Weights(NamedTuple):
     """Weights of the terms of `RestToRest`; zero switches a term off."""
 
-    tracking: float = 1.0
-    swing: float = 1.0
-    torque: float = 1e-3
-    chatter: float = 0.5
+    tracking: Real = 1.0
+    swing: Real = 1.0
+    torque: Real = 1e-3
+    chatter: Real = 0.5
+    settling: Real = 0.0
+    overshoot: Real = 1.0
+    singularity: Real = 100.0
+    stability: Real = 100.0
+    prior: Real = 0.03
 
 
 class Terms(NamedTuple):
-    """The unweighted terms of one rollout; every entry a scalar."""
+    """The unweighted terms of one rollout; every entry a scalar (as residuals: vectors whose squares sum to it)."""
 
-    tracking: Array  # s^2: integral of t |e| / travel
-    swing: Array  # s: integral of the squared excess of |phi - phi_0| over swing_limit, in units of (1 degree)^2
+    tracking: Array  # s^2: integral of t |e| / travel, |e| rounded off below 1e-3 of the travel
+    swing: Array  # s: integral of the excess of |phi - phi_0| over swing_limit in degrees, squared up to 1, linear beyond
     torque: Array  # (N m)^2 s: integral of tau^2
     chatter: Array  # (N m)^2: mean square of the torque step eta / decoupling that the hard sign switches by
+    settling: Array  # s: integral of a smooth step that is 1 outside the 2 % band and 0 inside
+    overshoot: Array  # s: integral of the excess of e over overshoot_limit in % of the travel, likewise
+    singularity: Array  # squared shortfall of the nonsingularity margin below 0.2, of 0.2
+    stability: Array  # sum of the squared shortfalls of the Hurwitz margins below 0.1, of 0.1
+    prior: Array  # sum of the squared logarithms of c1 ... k over those of `typical`: it decides what nothing else does
+
+
+class Term(NamedTuple):
+    """A term of the user's own: the objective gains weight x function(trajectory)^2."""
+
+    name: str
+    function: Callable[[js.Trajectory], Array]  # of a saved trajectory, one scalar
+    weight: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class RestToRest:
     """Objective of a move from rest to rest, as a function of `SlidingModeGains`.
 
-    slope: rad. travel: rad. duration, dt: s. smoothing: epsilon of the switching term, rad/s, positive for a useful gradient
-    with respect to eta. torque_limit: N m. swing_limit: rad, |phi - phi_0| above it is penalised.
+    robot: the one the controller believes in. slope: rad. travel: rad. duration, dt: s; the controller is sampled every dt
+    unless `continuous`. smoothing: epsilon of the switching term, rad/s, positive for a useful gradient with respect to eta.
+    torque_limit: N m. swing_limit: rad, |phi - phi_0| above it is penalised. overshoot_limit: of the travel. extra: terms of
+    the user's own. plant, initial_state: as in `rest_to_rest`. typical: the gains that the term `prior` draws towards.
     """
 
     robot: js.Robot = field(default_factory=js.Robot)
     slope: Real = 0.17453292519943295  # 10 degrees
     travel: Real = 10.0
     duration: float = 8.0
-    dt: float = 4e-3
-    smoothing: float = 0.05
+    dt: float = 8e-3
+    smoothing: Real = 0.2
     torque_limit: float | None = 5.0
-    swing_limit: float = 0.3490658503988659  # 20 degrees
+    swing_limit: Real = 0.3490658503988659  # 20 degrees
     weights: Weights = Weights()
     method: str = "rk4"
+    overshoot_limit: float = 0.01
+    extra: tuple[Term, ...] = ()
+    continuous: bool = False
+    plant: js.Robot | None = None
+    initial_state: Array | None = None
+    typical: js.SlidingModeGains = field(default_factory=lambda: js.SlidingModeGains(z_u=0.35))
 
     def rollout(self, gains: js.SlidingModeGains) -> js.Trajectory:
         """Roll out the task with these gains."""
@@ -61,67 +111,138 @@ class RestToRest:
             self.dt,
             self.smoothing,
             self.torque_limit,
+            plant=self.plant,
+            initial_state=self.initial_state,
+            control_period=None if self.continuous else self.dt,
             method=self.method,
             throw=False,
         )
 
-    def terms(self, gains: js.SlidingModeGains) -> Terms:
-        """Evaluate every term of one rollout."""
+    def residuals(self, gains: js.SlidingModeGains) -> Array:
+        """Weighted residuals (m,) of one rollout; the objective is the sum of their squares.
+
+        Raises:
+            ValueError: there is no term with a weight, or a term of the user's own returns no scalar.
+        """
+        self._require_terms()
         trajectory = self.rollout(gains)
-        alpha, _, swing, _ = trajectory.state.T
-        error = (alpha - alpha[0]) / self.travel - 1.0
-        deviation = jnp.abs(swing - js.equilibrium_swing(self.robot, self.slope))
-        excess = jnp.rad2deg(jnp.maximum(deviation - self.swing_limit, 0.0))
-        torque = trajectory.torque[:, 0]
-        return Terms(
-            tracking=self.dt * jnp.sum(trajectory.time * jnp.abs(error)),
-            swing=self.dt * jnp.sum(excess**2),
-            torque=self.dt * jnp.sum(torque**2),
-            chatter=jnp.mean((gains.eta / trajectory.diagnostics.decoupling) ** 2),
-        )
+        parts = self._unweighted(gains, trajectory)
+        weighted = [jnp.sqrt(w) * part for w, part in zip(self.weights, parts, strict=True) if not _is_off(w)]
+        own = [jnp.sqrt(term.weight) * _scalar(term, trajectory)[None] for term in self.extra]
+        return jnp.concatenate([*weighted, *own])
+
+    def terms(self, gains: js.SlidingModeGains) -> Terms:
+        """Evaluate every term of one rollout, unweighted."""
+        return Terms(*(jnp.sum(part * part) for part in self._unweighted(gains, self.rollout(gains))))
 
     def __call__(self, gains: js.SlidingModeGains) -> Array:
-        """Weighted sum of the terms."""
-        return sum((w * t for w, t in zip(self.weights, self.terms(gains), strict=True)), jnp.zeros(()))
+        """Weighted sum of the terms. Its forward gradient needs no memory in the horizon, but for terms of the user's own."""
+        if self.extra:
+            residuals = self.residuals(gains)
+            return jnp.sum(residuals * residuals)
+        self._require_terms()
+        return sum((w * t for w, t in zip(self.weights, self._streamed(gains), strict=True)), jnp.zeros(()))
 
+    def _require_terms(self) -> None:
+        if not self.extra and all(_is_off(weight) for weight in self.weights):
+            raise ValueError(
+                "weights leaves the objective without terms; type a positive one, e.g. tuning.Weights(tracking=1.0)"
+            )
 
-@dataclass(frozen=True, eq=False)
-class FollowLine:
-    """Objective of following a line from Table 4's start, as a function of `TrackingGains`: mean over the speeds, in cm.
+    def _unweighted(self, gains: js.SlidingModeGains, trajectory: js.Trajectory) -> Terms:
+        time = trajectory.time
+        # The state at the end is reached, not driven from: it closes the last step and weighs nothing.
+        step = jnp.full_like(time, self.dt).at[-1].set(0.0)
+        rates = self._rates(gains, tuple(trajectory.state.T), trajectory.torque[:, 0])
+        weight = (jnp.sqrt(step * time), *(jnp.sqrt(step),) * 5)
+        return Terms(*(w * rate for w, rate in zip(weight, rates, strict=True)), *self._still(gains))
 
-    slope: rad. speeds: v_f, m/s, one rollout each. duration, dt: s; the controller is sampled every dt.
-    torque_limit: N m. effort_weight: cm per (N m)^2 s. lean_weight: cm per degree by which the spin axis leans more than
-    lean_limit (rad) from the slope, towards the singular attitude.
-    """
+    def _streamed(self, gains: js.SlidingModeGains) -> Terms:
+        """Terms summed up inside the rollout, which saves nothing."""
+        equilibrium = js.equilibrium_swing(self.robot, self.slope)
+        zero = jnp.zeros_like(equilibrium)
+        state = (zero, zero, equilibrium, zero) if self.initial_state is None else tuple(self.initial_state)
 
-    robot: js.Robot = field(default_factory=js.Robot)
-    slope: Real = 0.17453292519943295  # 10 degrees
-    speeds: tuple[float, ...] = (0.5,)
-    duration: float = 20.0
-    dt: float = 4e-3
-    torque_limit: float | None = 5.0
-    effort_weight: float = 0.0
-    lean_weight: float = 0.1
-    lean_limit: float = 1.3089969389957472  # 75 degrees
+        def add(total: Sums, time: Array, state: planar.State, torque: tuple[Array, ...], dt: Array) -> Sums:
+            rates = self._rates(gains, state, torque[0])
+            weight = (dt * time, *(dt,) * 5)
+            return tuple(t + w * rate * rate for t, w, rate in zip(total, weight, rates, strict=False))
 
-    def __call__(self, gains: js.TrackingGains) -> Array:
-        """Root-mean-square distance from the line (cm) plus penalties; a lane that ends early pays for the rest."""
-        return jnp.mean(jax.vmap(lambda speed: self._one(gains, speed))(jnp.asarray(self.speeds)))
-
-    def _one(self, gains: js.TrackingGains, speed: Array) -> Array:
-        trajectory = js.track_line(
-            self.robot,
-            self.slope,
-            gains,
-            speed,
-            duration=self.duration,
-            dt=self.dt,
-            torque_limit=self.torque_limit,
-            control_period=self.dt,
+        steps = round(self.duration / self.dt)
+        trajectory = js.rollout(
+            planar_plant(
+                self.robot if self.plant is None else self.plant, jnp.asarray(self.slope), state[0], jnp.asarray(self.travel)
+            ),
+            sliding_mode.law(self.robot, self.slope, gains, state[0] + self.travel, self.smoothing),
+            state,
+            (zero,),
+            dt=jnp.asarray(self.dt),
+            steps=steps,
             save_every=None,
-            throw=False,
+            hold=None if self.continuous else jnp.int32(1),
+            torque_limit=None if self.torque_limit is None else jnp.asarray(self.torque_limit),
+            measure=js.Measure((zero,) * 6, add, lambda total: total),
+            method=self.method,
         )
-        lost = 100.0 * (1.0 - trajectory.end_time / self.duration)
-        excess = jnp.rad2deg(jnp.maximum(trajectory.metrics.peak_lean - self.lean_limit, 0.0))
-        penalties = self.effort_weight * trajectory.metrics.effort + self.lean_weight * excess
-        return 100.0 * trajectory.metrics.rms_error + penalties + lost
+        # A lane that ended early pays for the rest of the time where it stands.
+        last = self._rates(gains, tuple(trajectory.state[-1]), zero)
+        still = self._still(gains)
+        done = jnp.round(trajectory.end_time / self.dt)
+        left = self.dt * (steps - done)
+        left_time = 0.5 * self.dt**2 * (steps * (steps - 1) - done * (done - 1.0))
+        rest = (left_time, *(left,) * 5)
+        moving = (t + w * rate * rate for t, w, rate in zip(trajectory.metrics, rest, last, strict=True))
+        return Terms(*moving, *(jnp.sum(part * part) for part in still))
+
+    def _rates(self, gains: js.SlidingModeGains, state: planar.State, torque: Array) -> Sums:
+        """Roots of what the terms tracking ... overshoot integrate, at states of any shape."""
+        alpha, _, swing, _ = state
+        start = 0.0 if self.initial_state is None else self.initial_state[0]
+        equilibrium = js.equilibrium_swing(self.robot, self.slope)
+        error = (alpha - start) / self.travel - 1.0
+        size = jnp.sqrt(error * error + _TRACKING_WIDTH**2)
+        excess = jnp.rad2deg(jnp.maximum(jnp.abs(swing - equilibrium) - self.swing_limit, 0.0))
+        now = sliding_mode.signals(
+            planar.lump(self.robot, self.slope),
+            equilibrium,
+            gains,
+            state,
+            jnp.zeros_like(alpha),
+            start + self.travel,
+            self.smoothing,
+        )
+        return (
+            error / jnp.sqrt(size + _TRACKING_WIDTH),
+            _linear_far_out(excess),
+            torque,
+            gains.eta / (now.decoupling * jnp.sqrt(self.duration)),
+            jnp.exp(0.5 * jax.nn.log_sigmoid((size - SETTLING_BAND) / _SETTLING_WIDTH)),
+            _linear_far_out(100.0 * jnp.maximum(error - self.overshoot_limit, 0.0)),
+        )
+
+    def _still(self, gains: js.SlidingModeGains) -> Sums:
+        """Residuals of the terms singularity, stability and prior, which no trajectory enters."""
+        margin = js.nonsingularity_margin(self.robot, gains)
+        hurwitz = hurwitz_margins(self.robot, self.slope, gains)
+        names = ("c1", "c2", "z_u", "phi_z", "eta", "k")
+        return (
+            jnp.atleast_1d(jnp.maximum(1.0 - margin / _LEAST_NONSINGULARITY, 0.0)),
+            jnp.maximum(1.0 - hurwitz / _LEAST_HURWITZ, 0.0),
+            jnp.stack([jnp.log(getattr(gains, name) / getattr(self.typical, name)) for name in names]),
+        )
+
+
+def _linear_far_out(x: Array) -> Array:
+    """Root of 2 (sqrt(1 + x^2) - 1): its square is x^2 up to about one and grows like 2 |x| beyond."""
+    return x * jnp.sqrt(2.0 / (1.0 + jnp.sqrt(1.0 + x * x)))
+
+
+def _is_off(weight: Real) -> bool:
+    return is_concrete(weight) and float(weight) == 0.0
+
+
+def _scalar(term: Term, trajectory: js.Trajectory) -> Array:
+    value = jnp.asarray(term.function(trajectory))
+    if value.shape != ():
+        raise ValueError(f"term {term.name!r} returns shape {value.shape}; return one scalar, e.g. the jnp.mean of it")
+    return value

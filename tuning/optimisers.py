@@ -10,10 +10,15 @@ from jax import Array
 
 
 class Optimiser(NamedTuple):
-    """init(vector) -> state, update(gradient, state, vector) -> (vector, state)."""
+    """init(vector) -> state, update(seen, state, vector) -> (vector, state).
+
+    needs: what `update` must see at the vector: "gradient", the gradient (n,); "value", a pair (value, gradient); "quadratic",
+    a `Quadratic` of a sum of squares.
+    """
 
     init: Callable[[Array], Any]
-    update: Callable[[Array, Any, Array], tuple[Array, Any]]
+    update: Callable[[Any, Any, Array], tuple[Array, Any]]
+    needs: str = "gradient"
 
 
 class AdamState(NamedTuple):

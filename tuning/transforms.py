@@ -1,6 +1,6 @@
 """Gains as a vector without bounds: the optimiser sees R^n, the controller sees admissible gains in physical units.
 
-A tree of transforms runs parallel to the gains: POSITIVE (logarithm), UNIT (logit, for gains in (0, 1)) or FROZEN.
+A tree of transforms runs parallel to the gains: POSITIVE (logarithm), UNIT (logit, for gains in (0, 1)), `bounded` or FROZEN.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxsphere import SlidingModeGains, TrackingGains
@@ -26,6 +27,21 @@ class Transform(NamedTuple):
 POSITIVE = Transform(jnp.exp, jnp.log)
 UNIT = Transform(jax.nn.sigmoid, lambda gain: jnp.log(gain) - jnp.log1p(-gain))
 FROZEN = None
+
+
+def bounded(low: float, high: float) -> Transform:
+    """Transform of a positive gain between two bounds: its logarithm runs along a sine, as in MINUIT.
+
+    A search that steps past a bound comes back inside; with a logit it would be lost where the slope is zero.
+    """
+    if not 0.0 < low < high < float("inf"):
+        raise ValueError(f"bounds ({low}, {high}) hold no positive gain; type two increasing positive numbers")
+    middle, half = 0.5 * float(np.log(low * high)), 0.5 * float(np.log(high / low))
+    return Transform(
+        lambda free: jnp.exp(middle + half * jnp.sin(free)),
+        lambda gain: jnp.arcsin((jnp.log(gain) - middle) / half),
+    )
+
 
 # The transforms of each kind of gains that the package knows, by the name of the field.
 _KNOWN: dict[Any, dict[str, Any]] = {

@@ -1,0 +1,194 @@
+"""L-BFGS and Levenberg-Marquardt on textbook problems, batches of starts, steps that are not finite; Latin hypercubes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxsphere as js
+import tuning
+from tuning import checkpoint
+
+
+def descend(rule, evaluate, start, steps):
+    """Iterate (init, update) from `start`; returns the trial points, (steps + 1, n)."""
+
+    def step(carry, _):
+        vector, state = carry
+        moved = rule.update(evaluate(vector), state, vector)
+        return moved, moved[0]
+
+    _, trials = jax.lax.scan(step, (start, rule.init(start)), None, length=steps)
+    return jnp.concatenate([start[None], trials])
+
+
+def rosenbrock(x):
+    return jnp.stack([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+
+
+def powell(x):
+    a, b, c, d = x
+    return jnp.stack([a + 10.0 * b, jnp.sqrt(5.0) * (c - d), (b - 2.0 * c) ** 2, jnp.sqrt(10.0) * (a - d) ** 2])
+
+
+def of_squares(residuals):
+    return jax.value_and_grad(lambda x: jnp.sum(residuals(x) ** 2))
+
+
+def test_linear_least_squares_take_levenberg_marquardt_one_step(rng):
+    matrix, right = jnp.asarray(rng.normal(size=(7, 3))), jnp.asarray(rng.normal(size=7))
+    rule = tuning.levenberg_marquardt(damping=1e-12, longest=1e3)
+    trials = descend(rule, lambda x: tuning.quadratic(lambda y: matrix @ y - right, x), jnp.zeros(3), 1)
+    np.testing.assert_allclose(trials[1], np.linalg.lstsq(matrix, right)[0], rtol=1e-9)
+
+
+def test_quadratic_holds_value_gradient_and_gauss_newton_hessian():
+    x = jnp.array([-1.2, 1.0])
+    seen = tuning.quadratic(rosenbrock, x)
+    jacobian = np.array([[24.0, 10.0], [-1.0, 0.0]])
+    np.testing.assert_allclose(seen.value, 24.2, rtol=1e-14)
+    np.testing.assert_allclose(seen.gradient, [-215.6, -88.0], rtol=1e-14)
+    np.testing.assert_allclose(seen.hessian, 2.0 * jacobian.T @ jacobian, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("residuals", "start", "least"),
+    [(rosenbrock, [-1.2, 1.0], [1.0, 1.0]), (powell, [3.0, -1.0, 0.0, 1.0], [0.0] * 4)],
+    ids=["rosenbrock", "powell"],
+)
+def test_textbook_problems(residuals, start, least):
+    start = jnp.array(start)
+    marquardt = descend(tuning.levenberg_marquardt(longest=10.0), lambda x: tuning.quadratic(residuals, x), start, 60)
+    bfgs = descend(tuning.lbfgs(longest=10.0), of_squares(residuals), start, 120)
+    # Powell's Jacobian is singular at the solution: the square root of the objective's accuracy is all there is.
+    tolerance = 1e-6 if residuals is rosenbrock else 2e-2
+    np.testing.assert_allclose(marquardt[-1], least, atol=tolerance)
+    np.testing.assert_allclose(bfgs[-1], least, atol=tolerance)
+
+
+def test_lbfgs_solves_a_quadratic_in_about_as_many_steps_as_unknowns(rng):
+    root = rng.normal(size=(5, 5))
+    matrix, right = jnp.asarray(root @ root.T + np.eye(5)), jnp.asarray(rng.normal(size=5))
+    evaluate = jax.value_and_grad(lambda x: 0.5 * x @ matrix @ x - right @ x)
+    trials = descend(tuning.lbfgs(longest=1e3), evaluate, jnp.zeros(5), 40)
+    np.testing.assert_allclose(trials[-1], np.linalg.solve(matrix, right), rtol=1e-6)
+
+
+def test_starts_are_batched_and_do_not_disturb_each_other():
+    rule = tuning.levenberg_marquardt(longest=10.0)
+    starts = jnp.array([[-1.2, 1.0], [0.0, 0.0], [jnp.nan, 1.0]])
+    together = jax.vmap(lambda start: descend(rule, lambda x: tuning.quadratic(rosenbrock, x), start, 40))(starts)
+    alone = descend(rule, lambda x: tuning.quadratic(rosenbrock, x), starts[0], 40)
+    np.testing.assert_allclose(together[0], alone, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(together[:2, -1], 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["lm", "lbfgs"])
+def test_a_trial_that_is_not_finite_is_rejected_and_the_search_goes_on(name):
+    def walled(x):
+        return jnp.where(x[0] > 0.5, jnp.nan, 1.0) * jnp.stack([x[0] - 0.4, 3.0 * (x[1] - 2.0)])
+
+    if name == "lm":
+        trials = descend(tuning.levenberg_marquardt(longest=10.0), lambda x: tuning.quadratic(walled, x), jnp.zeros(2), 40)
+    else:
+        far = of_squares(walled)
+        trials = descend(tuning.lbfgs(longest=10.0), far, jnp.array([-20.0, 0.0]), 80)
+    assert np.isfinite(trials).all()
+    np.testing.assert_allclose(trials[-1], [0.4, 2.0], atol=1e-4)
+
+
+def test_latin_hypercube_has_one_point_in_every_cell(key):
+    points = np.asarray(tuning.latin_hypercube(key, 16, 3))
+    assert points.shape == (16, 3)
+    for column in points.T:
+        np.testing.assert_array_equal(np.sort(np.floor(16 * column)), np.arange(16))
+    assert len({tuple(np.argsort(column)) for column in points.T}) == 3
+
+
+def test_tuning_within_bounds_by_every_optimiser():
+    target = js.SlidingModeGains(c1=1.0, c2=3.0, z_u=0.5, phi_z=5.0, eta=40.0, k=1.0)
+    names = ("c1", "c2", "z_u", "phi_z", "eta", "k")
+
+    class Bowl:
+        def residuals(self, gains):
+            return jnp.stack([jnp.log(getattr(gains, name) / getattr(target, name)) for name in names])
+
+        def __call__(self, gains):
+            return jnp.sum(self.residuals(gains) ** 2) + 0.0
+
+    bounds = {name: (0.1 * getattr(target, name), 3.0 * getattr(target, name)) for name in names} | {
+        "z_u": (0.1, 0.98),
+        "eta": (0.5, 20.0),
+    }
+    for optimiser, iterations in (("adam", 150), ("lbfgs", 60), ("lm", 30)):
+        settings = {"optimiser": optimiser, "iterations": iterations, "starts": 4, "bounds": bounds, "progress": False}
+        found = tuning.tune(Bowl(), js.SlidingModeGains(), **settings)
+        assert found.optimiser == optimiser
+        assert found.near_best() == 1.0
+        assert found.gains.c2 == pytest.approx(3.0, rel=0.05)
+        assert 18.0 < found.gains.eta < 20.001  # its bound, where the optimum is beyond
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"optimiser": "newton"}, "optimiser = 'newton' is not known; type one of adam, lbfgs, lm"),
+        ({"optimiser": "lm"}, "optimiser = 'lm' needs residuals, which this objective has not"),
+        ({"bounds": {"c1": (2.0, 1.0)}}, r"bounds \(2\.0, 1\.0\) hold no positive gain"),
+        ({"bounds": {"c1": (1.0, 2.0)}}, r"initial gain c1 = 0\.5501 is outside its range"),
+        ({"resume": True}, "resume = True needs a file"),
+    ],
+)
+def test_faults_get_one_sentence(settings, message):
+    with pytest.raises(ValueError, match=message):
+        tuning.tune(lambda gains: gains.c1**2, js.SlidingModeGains(), progress=False, **settings)
+
+
+def problem(**settings):
+    return (
+        {"objective": tuning.RestToRest(duration=0.4, dt=2e-2), "initial_gains": js.SlidingModeGains(), "starts": 2}
+        | {
+            "optimiser": "lm",
+            "iterations": 8,
+            "chunk": 2,
+            "progress": False,
+        }
+        | settings
+    )
+
+
+def test_interrupted_search_resumes_where_it_stopped(tmp_path, monkeypatch):
+    path = tmp_path / "new" / "tuning.npz"
+    whole = tuning.tune(**problem())
+    save, calls = checkpoint.save, []
+
+    def interrupted(*arguments):
+        calls.append(save(*arguments))
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return calls[-1]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "save", interrupted)
+        half = tuning.tune(**problem(checkpoint=path))
+    assert half.status == "interrupted"
+    assert [entry.name for entry in path.parent.iterdir()] == ["tuning.npz"]
+    rest = tuning.tune(**problem(checkpoint=path, resume=True))
+    assert rest.status == "finished"
+    np.testing.assert_array_equal(rest.history["objective"], whole.history["objective"])
+    assert rest.objective == whole.objective
+    again = tuning.tune(**problem(checkpoint=path, resume=True))
+    assert again.objective == whole.objective
+
+
+def test_checkpoints_of_other_problems_and_other_files_are_refused(tmp_path):
+    path = tmp_path / "tuning.npz"
+    with pytest.raises(ValueError, match=r"does not exist; type resume=False"):
+        tuning.tune(**problem(checkpoint=path, resume=True))
+    tuning.tune(**problem(checkpoint=path, iterations=2))
+    for change, key in (({"seed": 1}, "seed"), ({"objective": tuning.RestToRest(duration=0.4, dt=1e-2)}, "objective")):
+        with pytest.raises(ValueError, match=rf"is of another problem \(it differs in {key}\); type another file"):
+            tuning.tune(**problem(checkpoint=path, iterations=2, resume=True) | change)
+    path.write_text("no checkpoint")
+    with pytest.raises(ValueError, match="is no checkpoint; type a file that"):
+        tuning.tune(**problem(checkpoint=path, resume=True))

@@ -1,0 +1,92 @@
+"""What tuning found, as text and as a file."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxsphere import SlidingModeGains, TrackingGains
+from jaxsphere.files import to_plain, write_json
+
+FORMAT = 1
+_GAINS = {kind.__name__: kind for kind in (SlidingModeGains, TrackingGains)}
+
+
+@dataclass(frozen=True, eq=False)
+class TuningResult:
+    """What tuning found.
+
+    gains: the best gains seen in any start; objective: their value. initial_gains, initial_objective: where it began.
+    history: "objective" and "gradient_norm", each (iterations, starts). status: "finished" or "interrupted" (by Ctrl-C).
+    names: the free gains. evaluations: rollouts with gradient.
+    """
+
+    gains: Any
+    objective: float
+    initial_gains: Any
+    initial_objective: float
+    history: dict[str, np.ndarray]
+    status: str
+    names: tuple[str, ...]
+    evaluations: int
+    optimiser: str = "adam"
+
+    @property
+    def bests(self) -> np.ndarray:
+        """Best objective of every start, (starts,); NaN where it never was finite."""
+        finite = np.where(np.isfinite(self.history["objective"]), self.history["objective"], np.inf)
+        best = np.min(finite, axis=0, initial=np.inf)
+        return np.where(np.isfinite(best), best, np.nan)
+
+    def near_best(self, share: float = 0.02) -> float:
+        """Fraction of the starts whose best objective is within `share` of the best of all."""
+        return float(np.mean(self.bests <= self.objective + share * abs(self.objective))) if self.bests.size else 0.0
+
+    def rollouts_until(self, value: float) -> int | None:
+        """Rollouts with gradient, over all starts, until the first of them is at or below `value`; None if none ever is."""
+        reached = np.any(self.history["objective"] <= value, axis=1)
+        return int((np.argmax(reached) + 1) * self.history["objective"].shape[1]) if reached.any() else None
+
+    def report(self) -> str:
+        """Table of the gains and the objective before and after, the starts, and the gains to copy, as text."""
+        rows = [f"{'gain':<10}{'before':>12}{'after':>12}"]
+        for leaf in fields(self.gains):
+            before, after = (float(getattr(gains, leaf.name)) for gains in (self.initial_gains, self.gains))
+            rows.append(f"{leaf.name:<10}{before:>12.4f}{after:>12.4f}{'' if leaf.name in self.names else '  frozen'}")
+        rows.append(f"{'objective':<10}{self.initial_objective:>12.4f}{self.objective:>12.4f}")
+        near = round(self.near_best() * self.bests.size)
+        rows.append(
+            f"{self.status}: {self.evaluations} rollouts with gradient, {near} of {self.bests.size} starts within 2 % of "
+            "the best"
+        )
+        copy = ", ".join(f"{leaf.name}={float(getattr(self.gains, leaf.name)):.6g}" for leaf in fields(self.gains))
+        rows.append(f"jaxsphere.{type(self.gains).__name__}({copy})")
+        return "\n".join(rows)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the result to a JSON file, atomically."""
+        content = {leaf.name: to_plain(getattr(self, leaf.name)) for leaf in fields(self)}
+        return write_json(path, {"format": FORMAT, "gains_type": type(self.gains).__name__, **content})
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> TuningResult:
+        """Read a result that `save` wrote. Raises ValueError if the file is none."""
+        try:
+            content = json.loads(Path(path).read_text(encoding="utf-8"))
+            kind = _GAINS[content.pop("gains_type")]
+            if content.pop("format") != FORMAT:
+                raise KeyError("format")
+            for name in ("gains", "initial_gains"):
+                content[name] = kind(**content[name])
+            history = content.pop("history")
+            arrays = {name: np.array(rows, dtype=np.float64).reshape(len(rows), -1) for name, rows in history.items()}
+            return cls(history=arrays, **content | {"names": tuple(content["names"])})
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            raise ValueError(
+                f"{os.fspath(path)} is no tuning result of this version; type a file that TuningResult.save wrote"
+            ) from error
