@@ -175,19 +175,19 @@ class TrackTuningOptions:
 
     slope_deg: float = 10.0
     """Slope in degrees."""
-    speeds: tuple[float, ...] = (0.2, 0.35, 0.5, 0.7, 1.0)
+    speeds: tuple[float, ...] = (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
     """Of the lines, m/s, one rollout each."""
-    duration: float = 8.0
+    duration: float = 6.0
     """Horizon of the tuning rollouts, s; errors depend chaotically on the gains over much longer ones."""
     dt: float = 4e-3
     """Time step and control period of the tuning rollouts, s."""
     torque_limit: float = 5.0
     """N m"""
-    iterations: int = 50
+    iterations: int = 40
     """Steps per start."""
-    starts: int = 8
+    starts: int = 12
     """Starts, all optimised at once."""
-    learning_rate: float = 0.1
+    learning_rate: float = 0.05
     """Of Adam, in logarithmic gains."""
     seed: int = 0
     """Of the starts."""

@@ -28,8 +28,8 @@ class FollowLine:
     dt: float = 4e-3
     torque_limit: float | None = 5.0
     effort_weight: float = 0.0
-    lean_weight: float = 0.1
-    lean_limit: float = 1.3089969389957472  # 75 degrees
+    lean_weight: float = 0.2
+    lean_limit: float = 1.0
 
     def __call__(self, gains: js.TrackingGains) -> Array:
         """Root-mean-square distance from the line (cm) plus penalties; a lane that ends early pays for the rest."""
