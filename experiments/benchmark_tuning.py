@@ -15,7 +15,7 @@ import tuning
 from experiments import plotting
 from experiments.records import Record
 
-OURS = {"lm": 40, "lbfgs": 60, "adam": 150}
+OURS = {"lm": 80, "lbfgs": 150, "adam": 150}
 
 
 def tuning_case(record: Record, lanes: int = 1200, steps: int = 1000) -> dict[str, Any]:
