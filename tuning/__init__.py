@@ -1,9 +1,12 @@
 """Gains by gradients through rollouts."""
 
 from tuning.following import FollowLine
+from tuning.health import audit_sign, check_gradient, lyapunov_exponent, stiff_and_sloppy
 from tuning.objectives import BOUNDS, RestToRest, Term, Terms, Weights
 from tuning.optimisers import Optimiser, adam, cosine_decay
+from tuning.pareto import Front, hypervolume, non_dominated, pareto_front
 from tuning.result import TuningResult
+from tuning.robust import Certificate, Robust, Scenarios, Uncertainty, certify, clopper_pearson, sample
 from tuning.second_order import Quadratic, lbfgs, levenberg_marquardt, quadratic
 from tuning.stability import hurwitz_margin
 from tuning.starts import latin_hypercube
@@ -11,6 +14,21 @@ from tuning.transforms import FROZEN, POSITIVE, UNIT, Parametrisation, Transform
 from tuning.tuner import tune, value_and_gradient
 
 __all__ = [
+    "Front",
+    "hypervolume",
+    "non_dominated",
+    "pareto_front",
+    "audit_sign",
+    "check_gradient",
+    "lyapunov_exponent",
+    "stiff_and_sloppy",
+    "Certificate",
+    "Robust",
+    "Scenarios",
+    "Uncertainty",
+    "certify",
+    "clopper_pearson",
+    "sample",
     "BOUNDS",
     "FROZEN",
     "FollowLine",

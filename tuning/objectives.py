@@ -21,7 +21,7 @@ from jaxsphere.controllers import sliding_mode
 from jaxsphere.models import planar
 from jaxsphere.numerics import Real
 from jaxsphere.simulation.metrics import SETTLING_BAND
-from jaxsphere.tasks.regulation import planar_plant
+from jaxsphere.tasks.regulation import planar_plant, seen_with
 from tuning.stability import hurwitz_margins
 
 Sums = tuple[Array, ...]
@@ -80,7 +80,8 @@ class RestToRest:
     robot: the one the controller believes in. slope: rad. travel: rad. duration, dt: s; the controller is sampled every dt
     unless `continuous`. smoothing: epsilon of the switching term, rad/s, positive for a useful gradient with respect to eta.
     torque_limit: N m. swing_limit: rad, |phi - phi_0| above it is penalised. overshoot_limit: of the travel. extra: terms of
-    the user's own. plant, initial_state: as in `rest_to_rest`. typical: the gains that the term `prior` draws towards.
+    the user's own. plant, initial_state, late, sensor_bias: as in `rest_to_rest`. typical: the gains that the term `prior`
+    draws towards.
     """
 
     robot: js.Robot = field(default_factory=js.Robot)
@@ -98,6 +99,8 @@ class RestToRest:
     continuous: bool = False
     plant: js.Robot | None = None
     initial_state: Array | None = None
+    late: Array | None = None
+    sensor_bias: Array | None = None
     typical: js.SlidingModeGains = field(default_factory=lambda: js.SlidingModeGains(z_u=0.35))
 
     def rollout(self, gains: js.SlidingModeGains) -> js.Trajectory:
@@ -114,6 +117,8 @@ class RestToRest:
             plant=self.plant,
             initial_state=self.initial_state,
             control_period=None if self.continuous else self.dt,
+            late=self.late,
+            sensor_bias=self.sensor_bias,
             method=self.method,
             throw=False,
         )
@@ -134,6 +139,13 @@ class RestToRest:
     def terms(self, gains: js.SlidingModeGains) -> Terms:
         """Evaluate every term of one rollout, unweighted."""
         return Terms(*(jnp.sum(part * part) for part in self._unweighted(gains, self.rollout(gains))))
+
+    def cost_so_far(self, gains: js.SlidingModeGains) -> Array:
+        """Objective counted up to each time of the rollout, (T,), without terms of the user's own."""
+        parts = self._unweighted(gains, self.rollout(gains))
+        moving = sum((w * part * part for w, part in zip(self.weights[:6], parts[:6], strict=True)), jnp.zeros(()))
+        still = sum((w * jnp.sum(part * part) for w, part in zip(self.weights[6:], parts[6:], strict=True)), jnp.zeros(()))
+        return jnp.cumsum(moving) + still
 
     def __call__(self, gains: js.SlidingModeGains) -> Array:
         """Weighted sum of the terms. Its forward gradient needs no memory in the horizon, but for terms of the user's own."""
@@ -168,18 +180,20 @@ class RestToRest:
             weight = (dt * time, *(dt,) * 5)
             return tuple(t + w * rate * rate for t, w, rate in zip(total, weight, rates, strict=False))
 
+        law = sliding_mode.law(self.robot, self.slope, gains, state[0] + self.travel, self.smoothing)
         steps = round(self.duration / self.dt)
         trajectory = js.rollout(
             planar_plant(
                 self.robot if self.plant is None else self.plant, jnp.asarray(self.slope), state[0], jnp.asarray(self.travel)
             ),
-            sliding_mode.law(self.robot, self.slope, gains, state[0] + self.travel, self.smoothing),
+            seen_with(self.sensor_bias, law),
             state,
             (zero,),
             dt=jnp.asarray(self.dt),
             steps=steps,
             save_every=None,
             hold=None if self.continuous else jnp.int32(1),
+            late=self.late,
             torque_limit=None if self.torque_limit is None else jnp.asarray(self.torque_limit),
             measure=js.Measure((zero,) * 6, add, lambda total: total),
             method=self.method,

@@ -32,7 +32,7 @@ class MarquardtState(NamedTuple):
     growth: Array
 
 
-def levenberg_marquardt(damping: float = 1e-2, longest: float = 1.0, floor: float = 1e-2) -> Optimiser:
+def levenberg_marquardt(damping: float = 0.1, longest: float = 0.5, floor: float = 1e-2) -> Optimiser:
     """Levenberg-Marquardt of a sum of squares with Marquardt's scaling and the damping rule of Nielsen (1999).
 
     Args:

@@ -24,7 +24,7 @@ from tuning.transforms import Parametrisation, Transform, bounded, parametrise
 Objective = Callable[[Any], Array]
 GRADIENTS = ("forward", "reverse")
 OPTIMISERS = ("adam", "lbfgs", "lm")
-_ITERATIONS = {"adam": 150, "lbfgs": 60, "lm": 40}
+_ITERATIONS = {"adam": 150, "lbfgs": 60, "lm": 80}
 
 
 class _Start(NamedTuple):
@@ -81,7 +81,7 @@ def tune(
     Args:
         objective: gains -> scalar, differentiable, e.g. `tuning.RestToRest(...)`. initial_gains: the first start.
         optimiser: "adam", "lbfgs", "lm" (Levenberg-Marquardt; the objective then needs `residuals(gains) -> (m,)`, whose
-        squares sum to it) or a pair (init, update). iterations: per start, one rollout with gradient each; 150, 60 or 40 by
+        squares sum to it) or a pair (init, update). iterations: per start, one rollout with gradient each; 150, 60 or 80 by
         default. learning_rate: of Adam in the free coordinates (about relative change per step), decaying along a cosine.
         starts: how many, by Latin hypercube, all but the first: over `bounds` (name -> lowest and highest value, kept by
         construction) for the gains that have them all, otherwise normal around the first with the standard deviation

@@ -66,6 +66,7 @@ class _Loop(NamedTuple):
     memory: State
     torque: State  # the last one applied
     held: Command | None
+    queued: Command | None  # computed, not applied before the next period
     status: Array
     end_time: Array
     measured: Any
@@ -81,6 +82,7 @@ def rollout(
     steps: int,
     save_every: int | None = 1,
     hold: Array | None = None,
+    late: Array | None = None,
     torque_limit: Array | None = None,
     measure: Measure | None = None,
     method: str = "rk4",
@@ -91,6 +93,7 @@ def rollout(
         plant, law: the robot and its controller. state, memory: their initial components.
         save_every: keep every so many steps (a divisor of `steps`), or None to keep the end only (T = 1).
         hold: zero-order hold of the command, in steps; None evaluates the law continuously, in every stage.
+        late: bool, apply each held command one period after its sample; the first one then rules two periods.
         torque_limit: each torque is clipped to +-this, N m. measure: a running metric, updated at every step.
         method: one of `integrators.METHODS`.
     """
@@ -107,9 +110,11 @@ def rollout(
     def advance(loop: _Loop, index: Array) -> tuple[_Loop, State]:
         """Measure the state at `index` and, but for the last one, step on from it."""
         time = index * dt
-        held = loop.held
+        held, queued = loop.held, loop.queued
         if hold is not None:
-            held = _where(index % hold == 0, command(time, loop.x, loop.memory), loop.held)
+            sampled, fresh = index % hold == 0, command(time, loop.x, loop.memory)
+            held = _where(sampled, fresh if late is None else _where(late, queued, fresh), held)
+            queued = None if late is None else _where(sampled, fresh, queued)
 
         def field(time: Array, y: State) -> tuple[tuple[Real, ...], Command]:
             x, memory = y[: len(state)], y[len(state) :]
@@ -137,6 +142,7 @@ def rollout(
             memory=y[len(state) :],
             torque=_where(sound, now.torque, loop.torque),
             held=held,
+            queued=queued,
             status=jnp.where(moving, fate, loop.status),
             end_time=jnp.where(moves, time + dt, loop.end_time),
             measured=measured,
@@ -153,6 +159,7 @@ def rollout(
         memory=memory,
         torque=blank.torque,
         held=None if hold is None else blank,
+        queued=None if hold is None or late is None else command(zero, state, memory),
         status=jnp.full(zero.shape, code(Status.OK)),
         end_time=zero,
         measured=None if measure is None else measure.initial,

@@ -21,7 +21,7 @@ from jaxsphere.robot import Robot, check_robot
 from jaxsphere.simulation import metrics
 from jaxsphere.simulation.host import cast, check_control_period, check_time_grid, is_single, raise_early_end
 from jaxsphere.simulation.integrators import METHODS
-from jaxsphere.simulation.rollout import Plant, Trajectory, rollout
+from jaxsphere.simulation.rollout import Law, Plant, Trajectory, rollout
 
 
 def rest_to_rest(
@@ -37,6 +37,8 @@ def rest_to_rest(
     plant: Robot | None = None,
     initial_state: Real | None = None,
     control_period: float | None = None,
+    late: Real | None = None,
+    sensor_bias: Real | None = None,
     convention: str = "corrected",
     method: str = "rk4",
     save_every: int | None = 1,
@@ -53,8 +55,9 @@ def rest_to_rest(
         hard sign. torque_limit: N m, None for no limit. plant: the true robot, where it differs from the modelled one.
         initial_state: (4,) alpha, alpha', phi, phi'; rest at phi_0 of the modelled robot by default.
         control_period: s, a multiple of dt, for a sampled controller with a zero-order hold; None for a continuous one.
-        convention: "corrected" or "printed" sign of z. method: an integrator. save_every: keep every so many steps (a
-        divisor of their number), None for the last state only. dtype: float64 unless given.
+        late: bool, each command acts one control period after its sample. sensor_bias: (4,), added to the state that the
+        controller sees. convention: "corrected" or "printed" sign of z. method: an integrator. save_every: keep every so
+        many steps (a divisor of their number), None for the last state only. dtype: float64 unless given.
         throw: raise when a single rollout ends early; otherwise, and always under vmap and jit, `status` tells.
 
     Returns:
@@ -78,11 +81,16 @@ def rest_to_rest(
         require_scalar("torque_limit", torque_limit, above=0.0, unit="N m")
     if initial_state is not None:
         require_finite_vector("initial_state", initial_state, 4, "alpha, alpha', phi, phi'")
+    if sensor_bias is not None:
+        require_finite_vector("sensor_bias", sensor_bias, 4, "on alpha, alpha', phi, phi'")
+    if late is not None and control_period is None:
+        raise ValueError("late needs a sampled controller; type control_period=1e-3")
     require_choice("convention", convention, sliding_mode.CONVENTIONS)
     require_choice("method", method, METHODS)
-    numbers = (robot, plant, slope, gains, travel, dt, smoothing, torque_limit, initial_state)
+    numbers = (robot, plant, slope, gains, travel, dt, smoothing, torque_limit, initial_state, sensor_bias)
     trajectory = _rest_to_rest(
         *cast(numbers, dtype or jnp.float64),
+        late=None if late is None else jnp.asarray(late, bool),
         hold=check_control_period(control_period, dt),
         steps=steps,
         save_every=save_every,
@@ -107,6 +115,8 @@ def _rest_to_rest(
     smoothing: Array,
     torque_limit: Array | None,
     initial_state: Array | None,
+    sensor_bias: Array | None,
+    late: Array | None,
     hold: Array | None,
     *,
     steps: int,
@@ -120,13 +130,14 @@ def _rest_to_rest(
     target = state[0] + travel
     trajectory = rollout(
         planar_plant(robot if plant is None else plant, slope, state[0], travel),
-        sliding_mode.law(robot, slope, gains, target, smoothing, convention),
+        seen_with(sensor_bias, sliding_mode.law(robot, slope, gains, target, smoothing, convention)),
         state,
         (zero,),
         dt=dt,
         steps=steps,
         save_every=save_every,
         hold=hold,
+        late=late,
         torque_limit=torque_limit,
         measure=metrics.regulation(target, travel, equilibrium),
         method=method,
@@ -139,6 +150,13 @@ def _rest_to_rest(
         states, corrections = tuple(trajectory.state.T), trajectory.memory[:, 0]
         signals = sliding_mode.signals(lumped, equilibrium, gains, states, corrections, target, smoothing, convention)
     return dataclasses.replace(trajectory, status=status, diagnostics=signals)
+
+
+def seen_with(bias: Array | None, law: Law) -> Law:
+    """Let `law` see the state plus `bias`, one number per component."""
+    if bias is None:
+        return law
+    return lambda time, state, memory: law(time, tuple(x + b for x, b in zip(state, bias, strict=True)), memory)
 
 
 def planar_plant(robot: Robot, slope: Array, start: Array, travel: Array) -> Plant:
