@@ -85,6 +85,6 @@ def _scipy(evaluate: Callable[[Any], Any], start: Any, budget: int) -> dict[str,
             lambda: optimize.minimize(counted, point, method="L-BFGS-B", bounds=box, options={"maxfun": budget})
         ),
         "scipy differential evolution": trace(
-            lambda: optimize.differential_evolution(counted, box, popsize=10, maxiter=generations, polish=False, seed=0)
+            lambda: optimize.differential_evolution(counted, box, popsize=10, maxiter=generations, polish=False, rng=0)
         ),
     }

@@ -120,7 +120,7 @@ def test_tuning_within_bounds_by_every_optimiser():
         "z_u": (0.1, 0.98),
         "eta": (0.5, 20.0),
     }
-    for optimiser, iterations in (("adam", 150), ("lbfgs", 60), ("lm", 30)):
+    for optimiser, iterations in (("adam", 150), ("lbfgs", 80), ("lm", 60)):
         settings = {"optimiser": optimiser, "iterations": iterations, "starts": 4, "bounds": bounds, "progress": False}
         found = tuning.tune(Bowl(), js.SlidingModeGains(), **settings)
         assert found.optimiser == optimiser

@@ -5,7 +5,7 @@ A tree of transforms runs parallel to the gains: POSITIVE (logarithm), UNIT (log
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
@@ -76,7 +76,7 @@ class Parametrisation:
 
 
 def parametrise(
-    gains: Any, frozen: Sequence[str] = (), transforms: dict[str, Transform | None] | None = None
+    gains: Any, frozen: Sequence[str] = (), transforms: Mapping[str, Transform | None] | None = None
 ) -> Parametrisation:
     """Choose the free gains of `gains`.
 
@@ -87,7 +87,7 @@ def parametrise(
     Raises:
         ValueError: an unknown name, no transform known, a gain outside its range, or nothing left to tune.
     """
-    known = _KNOWN.get(type(gains), {}) | (transforms or {})
+    known = _KNOWN.get(type(gains), {}) | dict(transforms or {})
     names = [leaf.name for leaf in fields(gains)]
     for name in (*frozen, *known):
         if name not in names:

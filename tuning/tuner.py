@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -69,7 +69,7 @@ def tune(
     bounds: dict[str, tuple[float, float]] | None = None,
     seed: int = 0,
     frozen: Sequence[str] = (),
-    transforms: dict[str, Transform | None] | None = None,
+    transforms: Mapping[str, Transform | None] | None = None,
     gradient: str = "forward",
     chunk: int = 10,
     progress: bool = True,
@@ -104,7 +104,7 @@ def tune(
     if resume and checkpoint is None:
         raise ValueError("resume = True needs a file; type checkpoint='tuning.npz'")
     limits = {name: bounded(low, high) for name, (low, high) in (bounds or {}).items()}
-    chosen = parametrise(initial_gains, frozen, (transforms or {}) | limits)
+    chosen = parametrise(initial_gains, frozen, dict(transforms or {}) | limits)
     first = chosen.to_vector(initial_gains)
     rule = optimiser if isinstance(optimiser, Optimiser) else _named_optimiser(label, learning_rate, iterations)
     evaluate = _evaluator(objective, chosen, gradient, rule.needs)
