@@ -88,18 +88,24 @@ def tune_planar(options: TunePlanar) -> None:
         settings.smoothing,
         settings.torque_limit,
         math.radians(settings.swing_limit_deg),
-        tuning.Weights(settings.tracking_weight, settings.swing_weight, settings.torque_weight, settings.chatter_weight),
+        weights=tuning.Weights(
+            settings.tracking_weight, settings.swing_weight, settings.torque_weight, settings.chatter_weight
+        ),
     )
     result = tuning.tune(
         objective,
         initial,
+        optimiser=settings.optimiser,
         iterations=settings.iterations,
         starts=settings.starts,
+        bounds={name: ends for name, ends in tuning.BOUNDS.items() if name not in settings.frozen},
         learning_rate=settings.learning_rate,
         seed=settings.seed,
         gradient=settings.gradient,
         frozen=settings.frozen,
         progress=settings.progress,
+        checkpoint=settings.checkpoint,
+        resume=settings.resume,
     )
     result.save(record.folder / "tuning.json")
     scoring = fig4.SCORING | {"torque_limit": settings.torque_limit, "throw": False}

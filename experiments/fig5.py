@@ -38,9 +38,9 @@ def reproduce(record: Record, progress: bool = True) -> dict[str, Any]:
     robot = {speed: _line(table, speed, diagnostics=True) for speed in SPEEDS}
     readings = {name: _line(table, 0.5, name) for name in ("exact", "pseudo_inverse")}
     objective = tuning.FollowLine(slope=SLOPE, speeds=TUNING_SPEEDS, duration=TUNING_HORIZON, torque_limit=TORQUE_LIMIT)
-    settings: dict[str, Any] = {"starts": 12, "spread": 0.3, "learning_rate": 0.05, "progress": progress}
-    outer = tuning.tune(objective, table, iterations=15, **settings)
-    result = tuning.tune(objective, table, iterations=40, transforms=INNER, **settings)
+    settings: dict[str, Any] = {"spread": 0.3, "learning_rate": 0.05, "progress": progress}
+    outer = tuning.tune(objective, table, starts=4, iterations=12, chunk=4, **settings)
+    result = tuning.tune(objective, table, starts=12, iterations=40, transforms=INNER, **settings)
     result.save(record.folder / "fig5_tuning.json")
     tuned = {speed: _line(result.gains, speed) for speed in SPEEDS}
     only_outer = {speed: _line(outer.gains, speed) for speed in SPEEDS}

@@ -209,16 +209,18 @@ class TuningOptions:
     """rad"""
     duration: float = 8.0
     """Horizon of the tuning rollouts, s."""
-    dt: float = 4e-3
-    """Time step of the tuning rollouts, s."""
-    smoothing: float = 0.05
+    dt: float = 8e-3
+    """Time step and control period of the tuning rollouts, s."""
+    smoothing: float = 0.2
     """Width of the smoothed sign while tuning, rad/s."""
     torque_limit: float = 5.0
     """N m"""
     swing_limit_deg: float = 20.0
     """Swing about equilibrium that is penalised beyond, degrees."""
-    iterations: int = 100
-    """Steps per start."""
+    optimiser: str = "lm"
+    """lm (Levenberg-Marquardt), lbfgs or adam."""
+    iterations: int | None = None
+    """Steps per start; 80, 60 or 150 by default."""
     starts: int = 8
     """Starts, all optimised at once."""
     learning_rate: float = 0.1
@@ -226,7 +228,11 @@ class TuningOptions:
     seed: int = 0
     """Of the starts."""
     gradient: str = "forward"
-    """forward or reverse."""
+    """forward or reverse, for lbfgs and adam."""
+    checkpoint: str | None = None
+    """File, written between chunks of iterations, e.g. out/tuning.npz."""
+    resume: bool = False
+    """Continue from the checkpoint."""
     frozen: tuple[str, ...] = ()
     """Gains to keep, e.g. --frozen eta k"""
     tracking_weight: float = 1.0
