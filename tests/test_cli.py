@@ -56,7 +56,7 @@ def test_every_robot_field_gain_and_setting_reaches_the_simulation(capsys, tmp_p
 def test_tune_writes_gains_that_load_again(capsys, tmp_path):
     import tuning
 
-    words = ["--iterations", "2", "--starts", "1", "--duration", "4", "--frozen", "k", "--no-progress"]
+    words = ["--optimiser", "adam", "--iterations", "2", "--starts", "1", "--duration", "4", "--frozen", "k", "--no-progress"]
     code, out, err = run(capsys, "tune", "planar", *words, "--out", str(tmp_path))
     assert code == 0, err
     result = tuning.TuningResult.load(tmp_path / "tuning.json")
