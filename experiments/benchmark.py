@@ -56,7 +56,7 @@ def _rollouts(lanes: int, steps: int, dtype: Any) -> Callable[[], Any]:
 
 
 def _diffrax(lanes: int, steps: int) -> Callable[[], Any]:
-    import diffrax
+    import diffrax  # pyright: ignore[reportMissingImports]
 
     gains = js.SlidingModeGains()
 
