@@ -40,17 +40,18 @@ def tracking_figure(title: str, tracks: Sequence[Track], limit: float | None = N
         path.plot(state[:, 0], state[:, 1], label=track.label, **style)
         distance.semilogy(time, np.maximum(100.0 * np.hypot(*error.T), 1e-3), label=track.label, **style)
         lean.plot(time, np.rad2deg(state[:, 3]), label=track.label, **style)
-        if torques.shape[1] == 2:
-            torque.plot(time, torques[:, 0], label=track.label, **{**style, "linewidth": 0.9})
+        # "ideal" has five accelerations where the robot has two torques.
+        torque.plot(time, torques[:, 0 if torques.shape[1] == 2 else 2], label=track.label, **{**style, "linewidth": 0.9})
         _mark_end(track, distance, time[-1], max(100.0 * float(np.hypot(*error[-1])), 1e-3), style["color"])
-    if limit is not None:
+    robot = tracks[0].trajectory.torque.shape[-1] == 2
+    if limit is not None and robot:
         torque.axhline(limit, color="0.4", linewidth=0.8)
         torque.axhline(-limit, color="0.4", linewidth=0.8)
     path.plot(*tracks[0].trajectory.state[0, :2], "o", color="0.2", markersize=5)
     path.set_aspect("equal", adjustable="datalim" if zoom is None else "box")
     name_axes(path, "x up-slope (m)", "y (m)", title="path of the centre, dot: start")
     name_axes(distance, "time (s)", "distance from the reference (cm)")
-    name_axes(torque, "time (s)", "drive torque τ1 (N m)", legend=False)
+    name_axes(torque, "time (s)", "drive torque τ1 (N m)" if robot else "spin acceleration φ'' (rad/s²)", legend=False)
     name_axes(lean, "time (s)", "lean of the spin axis θ (deg)", legend=False)
     if zoom is not None:
         path.set_xlim(-0.15 * zoom, zoom)
