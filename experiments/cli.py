@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import dataclass, field
 from typing import Annotated
 
 import tyro
 
-from experiments.options import (
-    MotionOptions,
-    RobotOptions,
-    SlidingModeOptions,
-    TrackingGainOptions,
-    TrackOptions,
-    TrackTuningOptions,
-    TuningOptions,
-)
+from experiments.options.planar import MotionOptions, SlidingModeOptions, TuningOptions
+from experiments.options.robot import RobotOptions
+from experiments.options.spatial import TrackingGainOptions, TrackOptions, TrackTuningOptions
 from jaxsphere import RolloutError
 from jaxsphere.simulation.lanes import use_all_cores
 
@@ -33,9 +28,9 @@ class Reproduce:
     """Show progress bars."""
 
     def run(self) -> None:
-        from experiments import commands
+        from experiments.commands import reproduce
 
-        commands.reproduce(self.experiments, self.out, self.progress)
+        reproduce.reproduce(self.experiments, self.out, self.progress)
 
 
 @dataclass
@@ -51,9 +46,9 @@ class SimulatePlanar:
     """Folder for pictures, metrics.json and manifest.json."""
 
     def run(self) -> None:
-        from experiments import commands
+        from experiments.commands import planar
 
-        commands.simulate_planar(self)
+        planar.simulate(self)
 
 
 @dataclass
@@ -68,9 +63,9 @@ class TunePlanar:
     """Folder for pictures, tuning.json, metrics.json and manifest.json."""
 
     def run(self) -> None:
-        from experiments import commands
+        from experiments.commands import planar
 
-        commands.tune_planar(self)
+        planar.tune(self)
 
 
 @dataclass
@@ -86,9 +81,9 @@ class SimulateSpatial:
     """Folder for pictures, metrics.json and manifest.json."""
 
     def run(self) -> None:
-        from experiments import commands
+        from experiments.commands import spatial
 
-        commands.simulate_spatial(self)
+        spatial.simulate(self)
 
 
 @dataclass
@@ -103,9 +98,9 @@ class TuneSpatial:
     """Folder for pictures, tuning.json, metrics.json and manifest.json."""
 
     def run(self) -> None:
-        from experiments import commands
+        from experiments.commands import spatial
 
-        commands.tune_spatial(self)
+        spatial.tune(self)
 
 
 @dataclass
@@ -122,9 +117,9 @@ class Bench:
     """Folder for the picture, metrics.json and manifest.json."""
 
     def run(self) -> None:
-        from experiments import commands
+        from experiments.commands import bench
 
-        commands.bench(self.case, self.lanes, self.steps, self.out)
+        bench.bench(self.case, self.lanes, self.steps, self.out)
 
 
 COMMANDS: dict[str, type] = {
@@ -147,9 +142,13 @@ def main(arguments: list[str] | None = None) -> int:
     use_all_cores()
     try:
         command.run()
+        sys.stdout.flush()
     except (ValueError, RolloutError) as error:
         print(f"jaxsphere {name}: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # the reader of stdout, e.g. head, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
     except KeyboardInterrupt:
         print(f"jaxsphere {name}: interrupted", file=sys.stderr)
         return 130

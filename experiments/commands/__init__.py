@@ -1,0 +1,1 @@
+"""What each subcommand does, in terms of the library; one file per subject."""

@@ -1,0 +1,112 @@
+"""Gains, move and tuning of the planar robot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import jaxsphere as js
+
+
+@dataclass
+class SlidingModeOptions:
+    """Gains of the sliding-mode controller; Table 3 by default."""
+
+    c1: float = 0.5501
+    """Slope of the sphere's sliding surface, 1/s."""
+    c2: float = 2.3272
+    """Slope of the pendulum's sliding surface, 1/s."""
+    z_u: float = 0.9626
+    """Largest swing asked for beyond equilibrium, rad, below 1."""
+    phi_z: float = 7.4822
+    """Width over which it is reached, rad/s."""
+    eta: float = 2.7688
+    """Switching gain, rad/s2."""
+    k: float = 0.6769
+    """Proportional reaching gain, 1/s."""
+    k_i: float = 0.0
+    """Equilibrium-seeking gain, rad/s; 0 is the paper's law."""
+
+    def make(self) -> js.SlidingModeGains:
+        """The gains. Raises ValueError for one that is not admissible."""
+        gains = js.SlidingModeGains(**{leaf.name: getattr(self, leaf.name) for leaf in fields(self)})
+        return js.sliding_mode.check_gains(gains)
+
+
+@dataclass
+class MotionOptions:
+    """The move, the motor and the integration."""
+
+    slope_deg: float = 10.0
+    """Slope in degrees, positive up-slope."""
+    travel: float = 10.0
+    """Angle that the sphere should roll, rad."""
+    duration: float = 30.0
+    """s"""
+    dt: float = 1e-3
+    """Time step, s."""
+    smoothing: float = 0.02
+    """Width of the smoothed sign, rad/s; 0 for the hard sign."""
+    torque_limit: float | None = None
+    """N m; none by default."""
+    control_period: float | None = None
+    """Sampling period of the controller, s, a multiple of dt; continuous by default."""
+    initial_state: tuple[float, float, float, float] | None = None
+    """alpha, alpha', phi, phi' in rad and rad/s; rest at equilibrium by default."""
+    convention: str = "corrected"
+    """Sign of z in (8): corrected or printed."""
+    method: str = "rk4"
+    """rk4, dopri5 or semi_implicit_euler."""
+
+    @property
+    def slope(self) -> float:
+        """Slope in rad."""
+        return math.radians(self.slope_deg)
+
+
+@dataclass
+class TuningOptions:
+    """The task that the gains are tuned on, the search and the weights of the objective."""
+
+    slope_deg: float = 10.0
+    """Slope in degrees."""
+    travel: float = 10.0
+    """rad"""
+    duration: float = 8.0
+    """Horizon of the tuning rollouts, s."""
+    dt: float = 8e-3
+    """Time step and control period of the tuning rollouts, s."""
+    smoothing: float = 0.2
+    """Width of the smoothed sign while tuning, rad/s."""
+    torque_limit: float = 5.0
+    """N m"""
+    swing_limit_deg: float = 20.0
+    """Swing about equilibrium that is penalised beyond, degrees."""
+    optimiser: str = "lm"
+    """lm (Levenberg-Marquardt), lbfgs or adam."""
+    iterations: int | None = None
+    """Steps per start; 80, 60 or 150 by default."""
+    starts: int = 8
+    """Starts, all optimised at once."""
+    learning_rate: float = 0.1
+    """Of Adam, in logarithmic gains."""
+    seed: int = 0
+    """Of the starts."""
+    gradient: str = "forward"
+    """forward or reverse, for lbfgs and adam."""
+    checkpoint: str | None = None
+    """File, written between chunks of iterations, e.g. out/tuning.npz."""
+    resume: bool = False
+    """Continue from the checkpoint."""
+    frozen: tuple[str, ...] = ()
+    """Gains to keep, e.g. --frozen eta k"""
+    tracking_weight: float = 1.0
+    """Of the integral of t |e| / travel."""
+    swing_weight: float = 1.0
+    """Of the squared excess swing."""
+    torque_weight: float = 1e-3
+    """Of the integral of the squared torque."""
+    chatter_weight: float = 0.5
+    """Of the squared switching step of the hard sign."""
+    progress: bool = True
+    """Show a progress bar."""
