@@ -17,13 +17,13 @@ from matplotlib.figure import Figure
 import jaxsphere as js
 from tuning import TuningResult
 
-STYLES = (
+STYLES: tuple[dict[str, Any], ...] = (
     {"color": "#08306b", "linestyle": "-"},
     {"color": "#e6701e", "linestyle": "--"},
     {"color": "#7a9a3a", "linestyle": "-."},
     {"color": "#8c8c8c", "linestyle": ":"},
 )
-_RC: Any = {
+RC: Any = {
     "font.size": 9,
     "axes.grid": True,
     "axes.axisbelow": True,
@@ -46,7 +46,7 @@ class Run(NamedTuple):
 
 def figure(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, np.ndarray]:
     """Empty figure of `size` inches with a grid of axes (rows, columns)."""
-    with plt.rc_context(_RC):
+    with plt.rc_context(RC):
         return plt.subplots(rows, columns, figsize=size, squeeze=False)
 
 
@@ -70,8 +70,8 @@ def regulation_figure(title: str, runs: Sequence[Run], robot: js.Robot, slope: f
         torque.plot(time, np.asarray(run.trajectory.torque)[shown, 0], label=run.label, **style)
         surfaces.plot(time, s1, label=f"s1, {run.label}", **style)
         surfaces.plot(time, s2, label=f"s2, {run.label}", **{**style, "linewidth": 0.8})
-        _phase_plane(sphere_plane, alpha - travel, alpha_rate, float(run.gains.c1), run.label, style)
-        _phase_plane(pendulum_plane, phi - equilibrium - z, phi_rate, float(run.gains.c2), run.label, style)
+        phase_plane(sphere_plane, alpha - travel, alpha_rate, float(run.gains.c1), run.label, style)
+        phase_plane(pendulum_plane, phi - equilibrium - z, phi_rate, float(run.gains.c2), run.label, style)
     name_axes(angle, "time (s)", "sphere angle α (rad)")
     name_axes(swing, "time (s)", "swing φ (deg)")
     name_axes(torque, "time (s)", "motor torque τ (N m)")
@@ -82,7 +82,8 @@ def regulation_figure(title: str, runs: Sequence[Run], robot: js.Robot, slope: f
     return fig
 
 
-def _phase_plane(axes: Axes, position: np.ndarray, rate: np.ndarray, slope: float, label: str, style: dict) -> None:
+def phase_plane(axes: Axes, position: np.ndarray, rate: np.ndarray, slope: float, label: str, style: dict) -> None:
+    """Rate against position with its start, and the line rate = -slope position, thin."""
     axes.plot(position, rate, label=label, **style)
     axes.plot(position[0], rate[0], "o", color=style["color"], markersize=4)
     low, high = position.min(), position.max()
