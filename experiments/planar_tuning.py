@@ -90,11 +90,7 @@ def study(options: TunePlanar) -> Study:
     last = nominal.stiffened(settings.smoothing[-1], settings.stiffness[-1])
     gains = {"before": initial, "after": result.gains}
     scoring = SCORING | {"torque_limit": settings.torque_limit, "throw": False}
-    certificates = {}
-    if uncertain.scenarios:
-        fresh = {"count": uncertain.samples, "seed": settings.seed + 1_000_000, "duration": uncertain.within}
-        fresh |= {"travel": settings.travel, "torque_limit": settings.torque_limit}
-        certificates = {name: tuning.certify(each, uncertainty, robot, **fresh) for name, each in gains.items()}
+    certificates = {name: certify(options, each) for name, each in gains.items()} if uncertain.scenarios else {}
     return Study(
         robot=robot,
         slope=slope,
@@ -106,6 +102,21 @@ def study(options: TunePlanar) -> Study:
         health=tuning.check_gradient(last, result.gains) if settings.examine else None,
         audit=tuning.audit_sign(last, result.gains, settings.smoothing) if settings.examine else None,
         directions=tuning.stiff_and_sloppy(last, result.gains) if settings.examine else None,
+    )
+
+
+def certify(options: TunePlanar, gains: js.SlidingModeGains) -> tuning.Certificate:
+    """Certificate of any gains on robots that a study with these options has not seen."""
+    settings, uncertain = options.tuning, options.uncertainty
+    return tuning.certify(
+        gains,
+        uncertain.make(math.radians(settings.slope_deg)),
+        options.robot.make(),
+        count=uncertain.samples,
+        seed=settings.seed + 1_000_000,
+        duration=uncertain.within,
+        travel=settings.travel,
+        torque_limit=settings.torque_limit,
     )
 
 

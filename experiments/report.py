@@ -121,7 +121,8 @@ def _audit(found: Study, axes: Axes) -> None:
     assert found.audit is not None
     places = np.arange(len(found.audit.smoothing))
     axes.plot(places, found.audit.settling_time, marker="o", label="2 % settling time (s)", **STYLES[0])
-    axes.plot(places, np.rad2deg(found.audit.peak_swing) / 10.0, marker="s", label="peak swing (10 deg)", **STYLES[1])
+    swing = np.rad2deg(found.audit.peak_swing) / 10.0
+    axes.plot(places, swing, marker="s", label="peak swing (10 deg)", **STYLES[1])
     axes.set_xticks(places, [f"{width:g}" if width else "hard" for width in found.audit.smoothing])
     axes.set_ylim(
         0.0, 1.4 * max(float(np.max(found.audit.settling_time)), float(np.rad2deg(found.audit.peak_swing.max())) / 10.0)

@@ -149,14 +149,17 @@ class RestToRest:
 
     def explain(self, gains: js.SlidingModeGains) -> str:
         """Say when and where the objective ceases to be finite: lane, time and quantity."""
+        return first_not_finite(*self.series(gains))
+
+    def series(self, gains: js.SlidingModeGains) -> tuple[Array, dict[str, Array], dict[str, Array]]:
+        """Time (T,), all that changes with it by name (T,), and the terms that no time belongs to."""
         trajectory = self.rollout(gains)
         parts = self._unweighted(gains, trajectory)._asdict()
-        still = {name: parts.pop(name) for name in Terms._fields[6:]}
+        still = {f"term {name}": parts.pop(name) for name in Terms._fields[6:]}
         state = dict(zip(("sphere angle", "rate of the sphere", "swing", "rate of the swing"), trajectory.state.T, strict=True))
         end = trajectory.time == trajectory.time[-1]
         own = {term.name: jnp.where(end, scalar_of(term, trajectory), 0.0) for term in self.extra}
-        terms = {f"term {name}": part for name, part in (parts | own).items()}
-        return first_not_finite(trajectory.time, state | terms, {f"term {name}": part for name, part in still.items()})
+        return trajectory.time, state | {f"term {name}": part for name, part in (parts | own).items()}, still
 
     def _require_terms(self) -> None:
         if not self.extra and all(is_off(weight) for weight in self.weights):

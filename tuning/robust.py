@@ -157,10 +157,9 @@ class Robust:
 
     def explain(self, gains: js.SlidingModeGains) -> str:
         """Say which scenario is the first whose objective is not finite, and when and where it ceases to be."""
-        values = np.asarray(jax.jit(self.values)(gains))
+        values, series = jax.jit(lambda: self._each(lambda one: (one(gains), one.series(gains))))()
         lane = int(np.argmin(np.isfinite(values)))
-        one = jax.tree.map(lambda leaf: leaf[lane], self.scenarios)
-        return f"lane {lane}, {self._of(one).explain(gains).removeprefix('lane 0, ')}"
+        return first_not_finite(*jax.tree.map(lambda leaf: leaf[lane], series), lane=lane)
 
     def _each(self, function: Callable[[RestToRest], Any]) -> Any:
         return jax.vmap(lambda one: function(self._of(one)))(self.scenarios)
