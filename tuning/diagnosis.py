@@ -11,7 +11,8 @@ from jax import Array
 def first_not_finite(time: Array, series: Mapping[str, Array], still: Mapping[str, Array], lane: int = 0) -> str:
     """Name the quantity that is not finite first, and when.
 
-    lane: which one it is. time: (T,), s. series: name -> (T, ...), what changes with time. still: name -> numbers that no time belongs to.
+    time: (T,), s. series: name -> (T, ...), what changes with time. still: name -> numbers that no time belongs to.
+    lane: which one it is.
     """
     for name, value in still.items():
         if not np.all(np.isfinite(np.asarray(value))):

@@ -14,7 +14,9 @@ from jax import Array
 import jaxsphere as js
 from jaxsphere.checks import require_choice, require_scalar
 from jaxsphere.numerics import Real
-from tuning.objectives import Limits, RestToRest
+from tuning.diagnosis import first_not_finite
+from tuning.limits import Limits
+from tuning.objectives import RestToRest
 
 AGGREGATES = ("mean", "cvar", "worst")
 MASSES = ("shell_mass", "gimbal_mass", "pendulum_mass")
