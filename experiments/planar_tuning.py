@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jaxsphere as js
@@ -87,21 +88,33 @@ def study(options: TunePlanar) -> Study:
         checkpoint=options.checkpoint,
         resume=settings.resume,
     )
-    last = nominal.stiffened(settings.smoothing[-1], settings.stiffness[-1])
     gains = {"before": initial, "after": result.gains}
-    scoring = SCORING | {"torque_limit": settings.torque_limit, "throw": False}
     certificates = {name: certify(options, each) for name, each in gains.items()} if uncertain.scenarios else {}
+    last = nominal.stiffened(settings.smoothing[-1], settings.stiffness[-1])
+    return examined(last, result, certificates, settings.smoothing if settings.examine else ())
+
+
+def examined(
+    objective: tuning.RestToRest,
+    result: tuning.TuningResult,
+    certificates: dict[str, tuning.Certificate] | None = None,
+    smoothing: Sequence[float] = (0.2, 0.05),
+) -> Study:
+    """Score the gains before and after with the hard sign; examine those after, unless `smoothing` has no widths (rad/s)."""
+    scoring = SCORING | {"torque_limit": objective.torque_limit, "throw": False}
+    task = (objective.robot, objective.slope)
+    pairs = {"before": result.initial_gains, "after": result.gains}
     return Study(
-        robot=robot,
-        slope=slope,
-        travel=settings.travel,
-        objective=last,
+        robot=objective.robot,
+        slope=float(objective.slope),
+        travel=float(objective.travel),
+        objective=objective,
         result=result,
-        scored={name: js.rest_to_rest(robot, slope, each, settings.travel, **scoring) for name, each in gains.items()},
-        certificates=certificates,
-        health=tuning.check_gradient(last, result.gains) if settings.examine else None,
-        audit=tuning.audit_sign(last, result.gains, settings.smoothing) if settings.examine else None,
-        directions=tuning.stiff_and_sloppy(last, result.gains) if settings.examine else None,
+        scored={name: js.rest_to_rest(*task, each, objective.travel, **scoring) for name, each in pairs.items()},
+        certificates=certificates or {},
+        health=tuning.check_gradient(objective, result.gains) if smoothing else None,
+        audit=tuning.audit_sign(objective, result.gains, smoothing) if smoothing else None,
+        directions=tuning.stiff_and_sloppy(objective, result.gains) if smoothing else None,
     )
 
 
