@@ -124,9 +124,8 @@ def _audit(found: Study, axes: Axes) -> None:
     swing = np.rad2deg(found.audit.peak_swing) / 10.0
     axes.plot(places, swing, marker="s", label="peak swing (10 deg)", **STYLES[1])
     axes.set_xticks(places, [f"{width:g}" if width else "hard" for width in found.audit.smoothing])
-    axes.set_ylim(
-        0.0, 1.4 * max(float(np.max(found.audit.settling_time)), float(np.rad2deg(found.audit.peak_swing.max())) / 10.0)
-    )
+    known = np.concatenate([found.audit.settling_time, swing])
+    axes.set_ylim(0.0, 1.4 * float(known[np.isfinite(known)].max()))
     name_axes(axes, "smoothing ε (rad/s)", "", title="from the smoothed to the hard sign, 1 kHz hold")
 
 

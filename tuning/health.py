@@ -66,8 +66,8 @@ def _central(function: Callable[[Array], Array], vector: Array, expected: np.nda
     """Central differences with the step, of three, that comes closest to `expected`: long ones see curvature, short noise."""
     steps, size = np.array([1e-5, 1e-6, 1e-7]), vector.shape[0]
     both = jnp.concatenate([jnp.eye(size), -jnp.eye(size)])
-    offsets = (steps[:, None, None] * both).reshape(-1, size)
-    up, down = np.split(np.asarray(jax.jit(jax.vmap(function))(vector[None] + offsets)).reshape(3, -1), 2, axis=1)
+    points = vector[None] + jnp.concatenate([float(step) * both for step in steps])
+    up, down = np.split(np.asarray(jax.jit(jax.vmap(function))(points)).reshape(3, -1), 2, axis=1)
     found = (up - down) / (2.0 * steps[:, None])
     return found[np.argmin(np.max(np.abs(found - expected), axis=1))]
 

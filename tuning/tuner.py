@@ -131,9 +131,9 @@ def tune(
     )
 
     def iterate(start: _Start, _: None) -> tuple[_Start, tuple[Array, Array]]:
-        stage = jnp.minimum(start.done * stages // iterations, stages - 1)
+        stage, before = (jnp.clip(done * stages // iterations, 0, stages - 1) for done in (start.done, start.done - 1))
         if stages > 1:  # what is known of another objective counts for nothing
-            fresh = (start.done > 0) & (stage != (start.done - 1) * stages // iterations)
+            fresh = stage != before
             again = start._replace(
                 vector=start.best_vector, optimiser=rule.init(start.best_vector), best=jnp.full_like(start.best, jnp.inf)
             )

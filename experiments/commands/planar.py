@@ -61,9 +61,9 @@ def tune(options: TunePlanar) -> None:
     found.result.save(record.folder / "tuning.json")
     many = f", {options.uncertainty.scenarios} drawn robots" if options.uncertainty.scenarios else ""
     title = f"Tuning of the planar controller on a {settings.slope_deg:g}° slope{many}"
-    record.picture("tuning", report.planar_page(found, title))
     subject = {"robot": found.robot, "gains": found.result.initial_gains, "settings": settings}
     record.finish({"tuning": planar_tuning.numbers(found)}, **subject, uncertainty=options.uncertainty)
+    record.picture("tuning", report.planar_page(found, title))
     print(found.result.report())
     for name, trajectory in found.scored.items():
         print(f"\n{name}, scored with the hard sign and a 1 kHz hold:")
