@@ -38,7 +38,7 @@ def of_squares(residuals):
 def test_linear_least_squares_take_levenberg_marquardt_one_step(rng):
     matrix, right = jnp.asarray(rng.normal(size=(7, 3))), jnp.asarray(rng.normal(size=7))
     rule = tuning.levenberg_marquardt(damping=1e-12, longest=1e3)
-    trials = descend(rule, lambda x: tuning.quadratic(lambda y: matrix @ y - right, x), jnp.zeros(3), 1)
+    trials = descend(rule, lambda x: tuning.linearise(lambda y: matrix @ y - right, x), jnp.zeros(3), 1)
     np.testing.assert_allclose(trials[1], np.linalg.lstsq(matrix, right)[0], rtol=1e-9)
 
 
@@ -58,7 +58,7 @@ def test_quadratic_holds_value_gradient_and_gauss_newton_hessian():
 )
 def test_textbook_problems(residuals, start, least):
     start = jnp.array(start)
-    marquardt = descend(tuning.levenberg_marquardt(longest=10.0), lambda x: tuning.quadratic(residuals, x), start, 60)
+    marquardt = descend(tuning.levenberg_marquardt(longest=10.0), lambda x: tuning.linearise(residuals, x), start, 60)
     bfgs = descend(tuning.lbfgs(longest=10.0), of_squares(residuals), start, 120)
     # Powell's Jacobian is singular at the solution: the square root of the objective's accuracy is all there is.
     tolerance = 1e-6 if residuals is rosenbrock else 2e-2
@@ -77,8 +77,8 @@ def test_lbfgs_solves_a_quadratic_in_about_as_many_steps_as_unknowns(rng):
 def test_starts_are_batched_and_do_not_disturb_each_other():
     rule = tuning.levenberg_marquardt(longest=10.0)
     starts = jnp.array([[-1.2, 1.0], [0.0, 0.0], [jnp.nan, 1.0]])
-    together = jax.vmap(lambda start: descend(rule, lambda x: tuning.quadratic(rosenbrock, x), start, 40))(starts)
-    alone = descend(rule, lambda x: tuning.quadratic(rosenbrock, x), starts[0], 40)
+    together = jax.vmap(lambda start: descend(rule, lambda x: tuning.linearise(rosenbrock, x), start, 40))(starts)
+    alone = descend(rule, lambda x: tuning.linearise(rosenbrock, x), starts[0], 40)
     np.testing.assert_allclose(together[0], alone, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(together[:2, -1], 1.0, atol=1e-6)
 
@@ -89,7 +89,7 @@ def test_a_trial_that_is_not_finite_is_rejected_and_the_search_goes_on(name):
         return jnp.where(x[0] > 0.5, jnp.nan, 1.0) * jnp.stack([x[0] - 0.4, 3.0 * (x[1] - 2.0)])
 
     if name == "lm":
-        trials = descend(tuning.levenberg_marquardt(longest=10.0), lambda x: tuning.quadratic(walled, x), jnp.zeros(2), 40)
+        trials = descend(tuning.levenberg_marquardt(longest=10.0), lambda x: tuning.linearise(walled, x), jnp.zeros(2), 40)
     else:
         far = of_squares(walled)
         trials = descend(tuning.lbfgs(longest=10.0), far, jnp.array([-20.0, 0.0]), 80)

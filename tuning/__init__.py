@@ -7,7 +7,7 @@ from tuning.optimisers import Optimiser, adam, cosine_decay
 from tuning.pareto import Front, hypervolume, non_dominated, pareto_front
 from tuning.result import TuningResult
 from tuning.robust import Certificate, Robust, Scenarios, Uncertainty, certify, clopper_pearson, sample
-from tuning.second_order import Quadratic, lbfgs, levenberg_marquardt, quadratic
+from tuning.second_order import LeastSquares, Quadratic, lbfgs, levenberg_marquardt, linearise, quadratic
 from tuning.stability import hurwitz_margin
 from tuning.starts import latin_hypercube
 from tuning.transforms import FROZEN, POSITIVE, UNIT, Parametrisation, Transform, bounded, parametrise
@@ -34,6 +34,7 @@ __all__ = [
     "FollowLine",
     "POSITIVE",
     "UNIT",
+    "LeastSquares",
     "Optimiser",
     "Parametrisation",
     "Quadratic",
@@ -50,6 +51,7 @@ __all__ = [
     "latin_hypercube",
     "lbfgs",
     "levenberg_marquardt",
+    "linearise",
     "parametrise",
     "quadratic",
     "tune",

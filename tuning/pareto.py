@@ -15,7 +15,7 @@ from jaxsphere.checks import require_scalar
 from jaxsphere.simulation.lanes import over_lanes
 from tuning import starts as drawn
 from tuning.objectives import BOUNDS, RestToRest
-from tuning.second_order import levenberg_marquardt, quadratic
+from tuning.second_order import levenberg_marquardt, linearise
 from tuning.transforms import bounded, parametrise
 
 NAMES = ("settling time, s", "peak swing about equilibrium, rad", "effort, (N m)^2 s")
@@ -28,6 +28,7 @@ class Front(NamedTuple):
     figures: np.ndarray
     tried: int
     rollouts: int  # with gradient
+    plain_rollouts: int  # all, each tangent, trial and scoring counted as one
 
 
 def pareto_front(
@@ -35,7 +36,7 @@ def pareto_front(
     initial_gains: js.SlidingModeGains,
     *,
     points: int = 96,
-    iterations: int = 40,
+    iterations: int = 16,
     swing: tuple[float, float] = (0.1, 0.6),
     effort: tuple[float, float] = (1e-4, 0.3),
     bounds: dict[str, tuple[float, float]] | None = None,
@@ -66,11 +67,11 @@ def pareto_front(
 
         def iterate(carry: tuple[Array, Any], _: None) -> tuple[tuple[Array, Any], None]:
             trial, state = carry
-            seen = quadratic(lambda free: task.residuals(chosen.to_gains(free)), trial)
+            seen = linearise(lambda free: task.residuals(chosen.to_gains(free)), trial)
             return rule.update(seen, state, trial), None
 
-        (_, state), _ = jax.lax.scan(iterate, (vector, rule.init(vector)), None, length=iterations)
-        gains = jax.tree.map(jnp.asarray, chosen.to_gains(state.point))
+        (end, _), _ = jax.lax.scan(iterate, (vector, rule.init(vector)), None, length=iterations)
+        gains = jax.tree.map(jnp.asarray, chosen.to_gains(end))
         return gains, figures(objective, gains)
 
     vectors = drawn.across(jax.random.key(seed + 1), chosen.to_vector(initial_gains), points)
@@ -79,7 +80,8 @@ def pareto_front(
     if not keep.any():
         raise ValueError("none of the tuned gains settles within duration; type a longer duration or other bounds")
     order = np.flatnonzero(keep)[np.argsort(scores[keep, 0])]
-    return Front(jax.tree.map(lambda leaf: leaf[order], gains), scores[order], points, points * iterations)
+    plain = points * (iterations * rule.plain_rollouts(len(chosen.names)) + 1)
+    return Front(jax.tree.map(lambda leaf: leaf[order], gains), scores[order], points, points * iterations, plain)
 
 
 def figures(objective: RestToRest, gains: js.SlidingModeGains) -> Array:
