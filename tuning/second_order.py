@@ -42,9 +42,10 @@ class LeastSquares(NamedTuple):
 
 
 class MarquardtState(NamedTuple):
-    """The last point with finite derivatives, and the damping relative to the diagonal of the Hessian."""
+    """The last point with finite derivatives, the damping it was left with, and the one to start with where it led."""
 
     point: Array
+    left_with: Array
     damping: Array
 
 
@@ -78,7 +79,7 @@ def levenberg_marquardt(
         raise ValueError(f"factors = {factors} are no multiples of the damping; type positive increasing ones")
 
     def init(vector: Array) -> MarquardtState:
-        return MarquardtState(vector, jnp.full((), damping))
+        return MarquardtState(vector, jnp.full((), damping), jnp.full((), damping))
 
     def update(seen: LeastSquares, state: MarquardtState, vector: Array) -> tuple[Array, MarquardtState]:
         usable = jnp.isfinite(seen.value) & jnp.all(jnp.isfinite(seen.jacobian))
@@ -89,9 +90,10 @@ def levenberg_marquardt(
         start = _Secant(vector, seen.residuals, seen.jacobian, seen.value, state.damping)
         end, _ = jax.lax.scan(improve, start, None, length=rounds)
         # A point without derivatives is left again, for a shorter way from the one before.
-        point = jnp.where(usable, end.point, state.point)
-        kept = jnp.where(usable, vector, state.point)
-        return point, MarquardtState(kept, jnp.where(usable, end.damping, 10.0 * state.damping))
+        again = jnp.clip(10.0 * state.left_with, *_DAMPING_RANGE)
+        back, ahead = MarquardtState(state.point, again, again), MarquardtState(vector, state.damping, end.damping)
+        kept = MarquardtState(*(jnp.where(usable, new, old) for new, old in zip(ahead, back, strict=True)))
+        return jnp.where(usable, end.point, state.point), kept
 
     return Optimiser(init, update, needs="residuals", trials=rounds * len(factors))
 
