@@ -22,7 +22,7 @@ from experiments import plotting
 from experiments.records import Record
 
 ITERATIONS = {"lm": 40, "lbfgs": 150, "adam": 150}
-STARTS = 6
+STARTS = 5
 # To reach a value means to come this near to it: the last digits are no use to anyone.
 NEAR = 1e-3
 HORIZONS = (1, 4, 16)
