@@ -1,5 +1,6 @@
 """The comparison of optimisers and of fronts: what is counted, and against what."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -7,7 +8,15 @@ import tuning
 from experiments import benchmark_pareto, benchmark_tuning
 from tuning import pareto
 
-SHORT = tuning.RestToRest(duration=0.8, dt=2e-2)
+
+class Bowl:
+    """As much of an objective as the optimisers need, without a rollout."""
+
+    def residuals(self, gains):
+        return jnp.log(jnp.stack([gains.c1, gains.c2, gains.z_u, gains.phi_z, gains.eta, gains.k]))
+
+    def __call__(self, gains):
+        return jnp.sum(self.residuals(gains) ** 2)
 
 
 def trace(objective, cost, with_gradient=1):
@@ -44,14 +53,14 @@ def test_median_over_starts_counts_those_that_never_arrive(capsys):
 def test_rollouts_of_every_optimiser_are_counted(monkeypatch):
     monkeypatch.setattr(benchmark_tuning, "STARTS", 2)
     monkeypatch.setattr(benchmark_tuning, "ITERATIONS", {"lm": 2, "lbfgs": 2})
-    found = benchmark_tuning.ours(SHORT)
+    found = benchmark_tuning.ours(Bowl())
     rule = tuning.levenberg_marquardt()
     lm, bfgs = found["jaxsphere lm"][1], found["jaxsphere lbfgs"][1]
     np.testing.assert_array_equal(lm.rollouts, [1, 2 + rule.trials])
     np.testing.assert_array_equal(lm.plain, [7, 14 + rule.trials])
     np.testing.assert_array_equal(bfgs.plain, [7, 14])
     pytest.importorskip("scipy")
-    peers = benchmark_tuning.scipys(SHORT, 125)
+    peers = benchmark_tuning.scipys(Bowl(), 125)
     assert len(peers) == 3
     for name, runs in peers.items():
         assert len(runs) == 2
@@ -79,13 +88,13 @@ def test_survivors_are_the_first_ranks_and_the_loneliest_of_the_last():
 def test_generalised_differential_evolution_finds_a_known_front():
     def score(vectors):  # the front is x = 0 but for the first two entries: a part of a sphere
         x = np.abs(vectors) / (0.5 * np.pi)
-        far = 1.0 + np.sum(x[:, 2:], axis=1)
+        far = 1.0 + np.sum(x[:, 2:] ** 2, axis=1)
         a, b = 0.5 * np.pi * x[:, 0], 0.5 * np.pi * x[:, 1]
         return far[:, None] * np.stack([np.cos(a) * np.cos(b), np.cos(a) * np.sin(b), np.sin(a)], axis=1)
 
-    points = benchmark_pareto.generalised(SHORT, 6000, score=score)
-    assert len(points) == 6000
+    points = benchmark_pareto.generalised(tuning.RestToRest(), 2400, score=score)
+    assert len(points) == 2400
     volume = pareto.hypervolume(points[pareto.non_dominated(points)], np.ones(3))
-    assert volume > 0.9 * (1.0 - np.pi / 6.0)
-    first = benchmark_pareto.generalised(SHORT, 60, score=score)
+    assert volume > 0.85 * (1.0 - np.pi / 6.0)
+    first = benchmark_pareto.generalised(tuning.RestToRest(), 60, score=score)
     assert volume > 2.0 * pareto.hypervolume(first, np.ones(3))
