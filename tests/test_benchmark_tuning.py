@@ -95,6 +95,6 @@ def test_generalised_differential_evolution_finds_a_known_front():
     points = benchmark_pareto.generalised(tuning.RestToRest(), 2400, score=score)
     assert len(points) == 2400
     volume = pareto.hypervolume(points[pareto.non_dominated(points)], np.ones(3))
-    assert volume > 0.85 * (1.0 - np.pi / 6.0)
+    assert volume > 0.8 * (1.0 - np.pi / 6.0)
     first = benchmark_pareto.generalised(tuning.RestToRest(), 60, score=score)
-    assert volume > 2.0 * pareto.hypervolume(first, np.ones(3))
+    assert pareto.hypervolume(first, np.ones(3)) < 0.1 * volume
