@@ -20,6 +20,7 @@ import jaxsphere as js
 import tuning
 from experiments import plotting
 from experiments.records import Record
+from tuning.starts import across
 
 ITERATIONS = {"lm": 40, "lbfgs": 150, "adam": 150}
 STARTS = 5
@@ -69,7 +70,7 @@ def gradient_memory(objective: tuning.RestToRest) -> dict[str, list[int]]:
     for gradient in ("forward", "reverse"):
         tasks = [replace(objective, duration=0.25 * objective.duration * factor) for factor in HORIZONS]
         lowered = [jax.jit(tuning.value_and_gradient(task, chosen, gradient)).lower(jnp.zeros(6)) for task in tasks]
-        sizes[gradient] = [int(one.compile().memory_analysis().temp_size_in_bytes) for one in lowered]
+        sizes[gradient] = [int(getattr(one.compile().memory_analysis(), "temp_size_in_bytes", 0)) for one in lowered]
         print(f"  {gradient:<46}{''.join(f'{size:>11}' for size in sizes[gradient])}")
     return sizes
 
@@ -95,7 +96,7 @@ def scipys(objective: tuning.RestToRest, budget: int) -> dict[str, list[Trace]]:
 
     limits = {name: tuning.bounded(*ends) for name, ends in tuning.BOUNDS.items()}
     chosen = tuning.parametrise(js.SlidingModeGains(), transforms=limits)
-    points = tuning.starts.across(jax.random.key(0), chosen.to_vector(js.SlidingModeGains()), STARTS)
+    points = across(jax.random.key(0), chosen.to_vector(js.SlidingModeGains()), STARTS)
     evaluate = jax.jit(lambda free: objective(chosen.to_gains(free)))
     box = [(-0.5 * np.pi, 0.5 * np.pi)] * len(chosen.names)
     population = 10 * len(box)
