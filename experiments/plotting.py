@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -152,6 +152,35 @@ def bars_figure(title: str, labels: Sequence[str], values: Sequence[float], unit
     panel.set_yticks(range(len(labels)), labels)
     panel.invert_yaxis()
     name_axes(panel, unit, "", title=title, legend=False)
+    return fig
+
+
+def descent_figure(title: str, curves: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
+    """Best objective so far against rollouts, both on logarithmic axes; label -> (rollouts, objective)."""
+    fig, axes = figure(1, 1, (7.0, 4.2))
+    panel = axes[0, 0]
+    for i, (label, (rollouts, objective)) in enumerate(curves.items()):
+        best = np.minimum.accumulate(np.where(np.isfinite(objective), objective, np.inf))
+        panel.step(rollouts, best, where="post", label=label, **STYLES[i % 4] | {"linewidth": 1.8 if i < 3 else 0.9})
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    name_axes(panel, "rollouts", "best objective so far", title=title)
+    return fig
+
+
+def fronts_figure(title: str, fronts: Mapping[str, np.ndarray]) -> Figure:
+    """Fronts (points, 3) of settling (s), swing (rad) and effort ((N m)^2 s), one panel each, coloured by the effort."""
+    fig, axes = figure(1, len(fronts), (3.3 * len(fronts) + 0.9, 3.6))
+    top = max(float(points[:, 2].max()) for points in fronts.values())
+    for panel, (label, points) in zip(axes[0], fronts.items(), strict=True):
+        settling, swing, effort = points.T
+        shade: dict[str, Any] = {"c": effort, "s": 10 + 40 * effort / top, "cmap": "viridis", "vmin": 0.0, "vmax": top}
+        dots = panel.scatter(settling, np.rad2deg(swing), **shade)
+        name_axes(panel, "2 % settling (s)", "peak swing about equilibrium (deg)", f"{label}, {len(points)} points", False)
+        panel.sharex(axes[0, 0])
+        panel.sharey(axes[0, 0])
+    fig.colorbar(dots, ax=axes[0, -1], label="effort ((N m)² s)")
+    fig.suptitle(title)
     return fig
 
 

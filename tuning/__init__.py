@@ -9,7 +9,7 @@ from tuning.optimisers import Optimiser, adam, cosine_decay
 from tuning.pareto import Front, hypervolume, non_dominated, pareto_front
 from tuning.result import TuningResult
 from tuning.robust import Robust, Scenarios, Uncertainty, sample
-from tuning.second_order import Quadratic, lbfgs, levenberg_marquardt, quadratic
+from tuning.second_order import LeastSquares, Quadratic, lbfgs, levenberg_marquardt, linearise, quadratic
 from tuning.stability import hurwitz_margin
 from tuning.stages import Annealed
 from tuning.starts import latin_hypercube
@@ -39,6 +39,7 @@ __all__ = [
     "FollowLine",
     "POSITIVE",
     "UNIT",
+    "LeastSquares",
     "Optimiser",
     "Parametrisation",
     "Quadratic",
@@ -57,6 +58,7 @@ __all__ = [
     "latin_hypercube",
     "lbfgs",
     "levenberg_marquardt",
+    "linearise",
     "parametrise",
     "quadratic",
     "tune",

@@ -18,13 +18,13 @@ from tuning import checkpoint as checkpoints
 from tuning import starts as drawn
 from tuning.optimisers import Optimiser, adam, cosine_decay
 from tuning.result import TuningResult
-from tuning.second_order import lbfgs, levenberg_marquardt, quadratic
+from tuning.second_order import lbfgs, levenberg_marquardt, linearise
 from tuning.transforms import Parametrisation, Transform, bounded, parametrise
 
 Objective = Callable[[Any], Array]
 GRADIENTS = ("forward", "reverse")
 OPTIMISERS = ("adam", "lbfgs", "lm")
-_ITERATIONS = {"adam": 150, "lbfgs": 60, "lm": 80}
+_ITERATIONS = {"adam": 150, "lbfgs": 60, "lm": 35}
 
 
 class _Start(NamedTuple):
@@ -83,7 +83,7 @@ def tune(
         stages share the iterations. Its `limits(gains)`, where it has them, decide which starts ended feasible; the best of
         those wins. initial_gains: the first start.
         optimiser: "adam", "lbfgs", "lm" (Levenberg-Marquardt; the objective then needs `residuals(gains) -> (m,)`, whose
-        squares sum to it) or a pair (init, update). iterations: per start, one rollout with gradient each; 150, 60 or 80 by
+        squares sum to it) or a pair (init, update). iterations: per start, one rollout with gradient each; 150, 60 or 35 by
         default. learning_rate: of Adam in the free coordinates (about relative change per step), decaying along a cosine.
         starts: how many, by Latin hypercube, all but the first: over `bounds` (name -> lowest and highest value, kept by
         construction) for the gains that have them all, otherwise normal around the first with the standard deviation
@@ -117,7 +117,7 @@ def tune(
     def evaluate(vector: Array, stage: Array) -> Any:
         return _evaluator(at(stage), chosen, gradient, rule.needs)(vector)
 
-    shape = jax.eval_shape(evaluate, first, jnp.int32(0))[0].shape
+    shape = jax.eval_shape(lambda vector: evaluate(vector, jnp.int32(0))[0], first).shape
     if shape != ():
         raise ValueError(f"objective returns shape {shape}; return one scalar")
 
@@ -209,12 +209,12 @@ def _named_optimiser(name: str, learning_rate: float, iterations: int) -> Optimi
 
 def _evaluator(objective: Objective, chosen: Parametrisation, gradient: str, needs: str) -> Callable[[Array], Any]:
     evaluate = value_and_gradient(objective, chosen, gradient)
-    if needs != "quadratic":
+    if needs != "residuals":
         return evaluate
     residuals = getattr(objective, "residuals", None)
     if residuals is None:
         raise ValueError("optimiser = 'lm' needs residuals, which this objective has not; type optimiser='lbfgs' or 'adam'")
-    return lambda vector: quadratic(lambda free: residuals(chosen.to_gains(free)), vector)
+    return lambda vector: linearise(lambda free: residuals(chosen.to_gains(free)), vector)
 
 
 def _not_finite(objective: Objective, gains: Any, history: dict[str, np.ndarray]) -> str:

@@ -88,7 +88,7 @@ class TuningOptions:
     optimiser: str = "lm"
     """lm (Levenberg-Marquardt), lbfgs or adam."""
     iterations: int | None = None
-    """Steps per start; 80, 60 or 150 by default."""
+    """Steps per start; 35, 60 or 150 by default."""
     starts: int = 8
     """Starts, all optimised at once."""
     learning_rate: float = 0.1
