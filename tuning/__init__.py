@@ -1,8 +1,8 @@
 """Gains by gradients through rollouts."""
 
-from tuning.following import FollowLine
+from tuning.following import SPATIAL_BOUNDS, FollowLine, LineTerms, LineWeights, friction_angle
 from tuning.health import audit_sign, check_gradient, lyapunov_exponent, stiff_and_sloppy
-from tuning.objectives import BOUNDS, RestToRest, Term, Terms, Weights
+from tuning.objectives import BOUNDS, RestToRest, Terms, Weights
 from tuning.optimisers import Optimiser, adam, cosine_decay
 from tuning.pareto import Front, hypervolume, non_dominated, pareto_front
 from tuning.result import TuningResult
@@ -10,6 +10,7 @@ from tuning.robust import Certificate, Robust, Scenarios, Uncertainty, certify, 
 from tuning.second_order import Quadratic, lbfgs, levenberg_marquardt, quadratic
 from tuning.stability import hurwitz_margin
 from tuning.starts import latin_hypercube
+from tuning.terms import Term
 from tuning.transforms import FROZEN, POSITIVE, UNIT, Parametrisation, Transform, bounded, parametrise
 from tuning.tuner import tune, value_and_gradient
 
@@ -31,7 +32,11 @@ __all__ = [
     "sample",
     "BOUNDS",
     "FROZEN",
+    "SPATIAL_BOUNDS",
     "FollowLine",
+    "LineTerms",
+    "LineWeights",
+    "friction_angle",
     "POSITIVE",
     "UNIT",
     "Optimiser",

@@ -7,7 +7,6 @@ Every residual is smooth in the gains (a hinge only where its square is), so tha
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -16,13 +15,13 @@ import jax.numpy as jnp
 from jax import Array
 
 import jaxsphere as js
-from jaxsphere.checks import is_concrete
 from jaxsphere.controllers import sliding_mode
 from jaxsphere.models import planar
 from jaxsphere.numerics import Real
 from jaxsphere.simulation.metrics import SETTLING_BAND
 from jaxsphere.tasks.regulation import planar_plant, seen_with
 from tuning.stability import hurwitz_margins
+from tuning.terms import Term, is_off, linear_far_out, require_terms, scalar_of
 
 Sums = tuple[Array, ...]
 
@@ -63,14 +62,6 @@ class Terms(NamedTuple):
     singularity: Array  # squared shortfall of the nonsingularity margin below 0.2, of 0.2
     stability: Array  # sum of the squared shortfalls of the Hurwitz margins below 0.1, of 0.1
     prior: Array  # sum of the squared logarithms of c1 ... k over those of `typical`: it decides what nothing else does
-
-
-class Term(NamedTuple):
-    """A term of the user's own: the objective gains weight x function(trajectory)^2."""
-
-    name: str
-    function: Callable[[js.Trajectory], Array]  # of a saved trajectory, one scalar
-    weight: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,11 +120,11 @@ class RestToRest:
         Raises:
             ValueError: there is no term with a weight, or a term of the user's own returns no scalar.
         """
-        self._require_terms()
+        require_terms(self.weights, self.extra)
         trajectory = self.rollout(gains)
         parts = self._unweighted(gains, trajectory)
-        weighted = [jnp.sqrt(w) * part for w, part in zip(self.weights, parts, strict=True) if not _is_off(w)]
-        own = [jnp.sqrt(term.weight) * _scalar(term, trajectory)[None] for term in self.extra]
+        weighted = [jnp.sqrt(w) * part for w, part in zip(self.weights, parts, strict=True) if not is_off(w)]
+        own = [jnp.sqrt(term.weight) * scalar_of(term, trajectory)[None] for term in self.extra]
         return jnp.concatenate([*weighted, *own])
 
     def terms(self, gains: js.SlidingModeGains) -> Terms:
@@ -152,14 +143,8 @@ class RestToRest:
         if self.extra:
             residuals = self.residuals(gains)
             return jnp.sum(residuals * residuals)
-        self._require_terms()
+        require_terms(self.weights, self.extra)
         return sum((w * t for w, t in zip(self.weights, self._streamed(gains), strict=True)), jnp.zeros(()))
-
-    def _require_terms(self) -> None:
-        if not self.extra and all(_is_off(weight) for weight in self.weights):
-            raise ValueError(
-                "weights leaves the objective without terms; type a positive one, e.g. tuning.Weights(tracking=1.0)"
-            )
 
     def _unweighted(self, gains: js.SlidingModeGains, trajectory: js.Trajectory) -> Terms:
         time = trajectory.time
@@ -227,11 +212,11 @@ class RestToRest:
         )
         return (
             error / jnp.sqrt(size + _TRACKING_WIDTH),
-            _linear_far_out(excess),
+            linear_far_out(excess),
             torque,
             gains.eta / (now.decoupling * jnp.sqrt(self.duration)),
             jnp.exp(0.5 * jax.nn.log_sigmoid((size - SETTLING_BAND) / _SETTLING_WIDTH)),
-            _linear_far_out(100.0 * jnp.maximum(error - self.overshoot_limit, 0.0)),
+            linear_far_out(100.0 * jnp.maximum(error - self.overshoot_limit, 0.0)),
         )
 
     def _still(self, gains: js.SlidingModeGains) -> Sums:
@@ -244,19 +229,3 @@ class RestToRest:
             jnp.maximum(1.0 - hurwitz / _LEAST_HURWITZ, 0.0),
             jnp.stack([jnp.log(getattr(gains, name) / getattr(self.typical, name)) for name in names]),
         )
-
-
-def _linear_far_out(x: Array) -> Array:
-    """Root of 2 (sqrt(1 + x^2) - 1): its square is x^2 up to about one and grows like 2 |x| beyond."""
-    return x * jnp.sqrt(2.0 / (1.0 + jnp.sqrt(1.0 + x * x)))
-
-
-def _is_off(weight: Real) -> bool:
-    return is_concrete(weight) and float(weight) == 0.0
-
-
-def _scalar(term: Term, trajectory: js.Trajectory) -> Array:
-    value = jnp.asarray(term.function(trajectory))
-    if value.shape != ():
-        raise ValueError(f"term {term.name!r} returns shape {value.shape}; return one scalar, e.g. the jnp.mean of it")
-    return value

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ class TuningResult:
 
     gains: the best gains seen in any start; objective: their value. initial_gains, initial_objective: where it began.
     history: "objective" and "gradient_norm", each (iterations, starts). status: "finished" or "interrupted" (by Ctrl-C).
-    names: the free gains. evaluations: rollouts with gradient.
+    names: the free gains. evaluations: rollouts with gradient. answers: gain -> its best value in every start, (starts,).
     """
 
     gains: Any
@@ -35,6 +35,7 @@ class TuningResult:
     names: tuple[str, ...]
     evaluations: int
     optimiser: str = "adam"
+    answers: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def bests(self) -> np.ndarray:
@@ -85,6 +86,7 @@ class TuningResult:
                 content[name] = kind(**content[name])
             history = content.pop("history")
             arrays = {name: np.array(rows, dtype=np.float64).reshape(len(rows), -1) for name, rows in history.items()}
+            content["answers"] = {name: np.array(row, dtype=np.float64) for name, row in content.get("answers", {}).items()}
             return cls(history=arrays, **content | {"names": tuple(content["names"])})
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise ValueError(

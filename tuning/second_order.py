@@ -6,6 +6,7 @@ derivatives are not finite is rejected like one that is too high.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -165,11 +166,20 @@ def _two_loops(gradient: Array, moves: Array, changes: Array) -> Array:
     return -r
 
 
-def quadratic(residuals: Any, vector: Array) -> Quadratic:
-    """Value, gradient and Gauss-Newton Hessian of the sum of squares of `residuals(vector) -> (m,)`, by forward mode."""
+def quadratic(residuals: Any, vector: Array, steepest: float = math.inf) -> Quadratic:
+    """Value, gradient and Gauss-Newton Hessian of the sum of squares of `residuals(vector) -> (m,)`, by forward mode.
+
+    steepest: cap on the slope of each residual, relative to its size or to the root mean square of all, whichever is larger.
+    A residual that is steeper says nothing at the distance of a step: chaos would drown what the others say. The gradient
+    and the Hessian are those of the capped slopes, the value is exact.
+    """
 
     def push(direction: Array) -> tuple[Array, Array]:
         return jax.jvp(residuals, (vector,), (direction,))
 
     r, jacobian = jax.vmap(push, out_axes=(None, 0))(jnp.eye(vector.shape[0], dtype=vector.dtype))
+    if steepest < math.inf:
+        most = steepest * jnp.maximum(jnp.abs(r), jnp.sqrt(jnp.mean(r * r)))
+        slope = jnp.sqrt(jnp.sum(jacobian * jacobian, axis=0))
+        jacobian = jacobian * jnp.where(slope > most, most / jnp.where(slope > most, slope, 1.0), 1.0)
     return Quadratic(jnp.sum(r * r), 2.0 * jacobian @ r, 2.0 * jacobian @ jacobian.T)

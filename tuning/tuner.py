@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -81,8 +82,8 @@ def tune(
     Args:
         objective: gains -> scalar, differentiable, e.g. `tuning.RestToRest(...)`. initial_gains: the first start.
         optimiser: "adam", "lbfgs", "lm" (Levenberg-Marquardt; the objective then needs `residuals(gains) -> (m,)`, whose
-        squares sum to it) or a pair (init, update). iterations: per start, one rollout with gradient each; 150, 60 or 80 by
-        default. learning_rate: of Adam in the free coordinates (about relative change per step), decaying along a cosine.
+        squares sum to it, and may have `steepest`, see `quadratic`) or a pair (init, update).
+        iterations: per start, one rollout with gradient each; 150, 60 or 80 by default. learning_rate: of Adam in the free coordinates (about relative change per step), decaying along a cosine.
         starts: how many, by Latin hypercube, all but the first: over `bounds` (name -> lowest and highest value, kept by
         construction) for the gains that have them all, otherwise normal around the first with the standard deviation
         `spread` in free coordinates, from `seed`. frozen: gains to keep. transforms: see `parametrise`.
@@ -167,6 +168,7 @@ def tune(
                 raise
     winner = int(np.nanargmin(np.asarray(batch.best)))
     found = chosen.to_gains(jnp.asarray(batch.best_vector[winner]))
+    answers = jax.vmap(chosen.to_gains)(jnp.asarray(batch.best_vector))
     return TuningResult(
         gains=jax.tree.map(float, found),
         objective=float(batch.best[winner]),
@@ -177,6 +179,7 @@ def tune(
         names=chosen.names,
         evaluations=int(history["objective"].size),
         optimiser=label,
+        answers={name: np.asarray(value) for name, value in vars(answers).items()},
     )
 
 
@@ -193,7 +196,8 @@ def _evaluator(objective: Objective, chosen: Parametrisation, gradient: str, nee
     residuals = getattr(objective, "residuals", None)
     if residuals is None:
         raise ValueError("optimiser = 'lm' needs residuals, which this objective has not; type optimiser='lbfgs' or 'adam'")
-    return lambda vector: quadratic(lambda free: residuals(chosen.to_gains(free)), vector)
+    steepest = getattr(objective, "steepest", math.inf)
+    return lambda vector: quadratic(lambda free: residuals(chosen.to_gains(free)), vector, steepest)
 
 
 def _not_finite(objective: Objective, gains: Any, starts: int) -> str:
