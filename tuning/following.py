@@ -1,6 +1,6 @@
 """Objective of following lines with the spatial robot: a sum of squares of named residuals, one number to make small.
 
-    objective(gains) = sum over the terms of weight x term,    term = mean over the speeds of the sum of its squared residuals
+    objective(gains) = sum over the terms of weight x term,    term = mean over the lanes of the sum of its squared residuals
 
 A term looks at every `sample_every`-th step of a rollout; it is the mean over those instants, so that it does not depend on how
 many there are. Every residual is smooth in the gains (a hinge only where its square is).
@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields
 from functools import partial
+from itertools import product
 from typing import NamedTuple
 
 import jax
@@ -40,6 +41,8 @@ SPATIAL_BOUNDS = {
     "a_max": (0.5, 2.0),
 }
 
+TABLE_4_START = (0.3, 0.1)  # m
+
 # Whether a lane that ended early goes on paying for the terms distance ... effort.
 _KEPT = (True, True, True, False, False)
 
@@ -57,7 +60,7 @@ class LineWeights(NamedTuple):
 
 
 class LineTerms(NamedTuple):
-    """The unweighted terms, means over the speeds; every entry a scalar (as residuals: vectors whose squares sum to it)."""
+    """The unweighted terms, means over the lanes; every entry a scalar (as residuals: vectors whose squares sum to it)."""
 
     distance: Array  # cm^2: mean square of the distance from the reference
     late: Array  # cm^2: the same from settled_after on
@@ -70,14 +73,14 @@ class LineTerms(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FollowLine:
-    """Objective of following lines from Table 4's start, as a function of `TrackingGains`.
+    """Objective of following lines, from Table 4's start by default, as a function of `TrackingGains`.
 
-    slope: rad. speeds: v_f, m/s, one rollout each. duration, dt: s; the controller is sampled every dt. torque_limit: N m.
-    lean_limit: rad by which the spin axis may lean from the slope, towards the singular attitude. friction_limit: coefficient
-    of friction that rolling may need. start: of the centre, m. settled_after: s, from when on errors are late.
-    sample_every: steps between two looks at a rollout. steepest: see `quadratic`; where the spin axis leans far, errors depend
-    chaotically on the gains. extra: terms of the user's own, of one rollout's trajectory, averaged over the speeds. typical:
-    the gains that the term `prior` draws towards. plant: the true robot, where it differs.
+    slope: rad. speeds: v_f, m/s. starts: of the centre, m; every speed is followed from every start. duration, dt: s; the
+    controller is sampled every dt. torque_limit: N m. lean_limit: rad by which the spin axis may lean from the slope, towards
+    the singular attitude. friction_limit: coefficient of friction that rolling may need. settled_after: s, from when on errors
+    are late. sample_every: steps between two looks at a rollout. steepest: see `quadratic`; where the spin axis leans far,
+    errors depend chaotically on the gains. extra: terms of the user's own, of one rollout's trajectory, averaged over the
+    lanes. typical: the gains that the term `prior` draws towards. plant: the true robot, where it differs.
     """
 
     robot: js.Robot = field(default_factory=js.Robot)
@@ -89,7 +92,7 @@ class FollowLine:
     weights: LineWeights = LineWeights()
     lean_limit: Real = 0.8
     friction_limit: Real = 0.5
-    start: tuple[float, float] = (0.3, 0.1)
+    starts: tuple[tuple[float, float], ...] = (TABLE_4_START,)
     settled_after: float = 2.0
     sample_every: int = 5
     steepest: float = 3.0
@@ -104,6 +107,8 @@ class FollowLine:
             raise ValueError("speeds = () leaves nothing to follow; type at least one speed in m/s, e.g. (0.5,)")
         for speed in self.speeds:
             require_scalar("speeds", speed, unit="m/s")
+        if np.ndim(self.starts) != 2 or np.shape(self.starts)[1] != 2 or not np.all(np.isfinite(self.starts)):
+            raise ValueError(f"starts = {self.starts} are no positions; type pairs (x, y) in m, e.g. ((0.3, 0.1),)")
         require_count("sample_every", self.sample_every)
         check_time_grid(self.duration, self.dt, self.sample_every)
         require_scalar("settled_after", self.settled_after, above=0.0, below=self.duration, or_equal=True, unit="s")
@@ -114,13 +119,11 @@ class FollowLine:
         for name, weight in zip(self.weights._fields, self.weights, strict=True):
             require_scalar(f"weights.{name}", weight, above=0.0, or_equal=True)
 
-    def rollout(self, gains: js.TrackingGains, speed: Real) -> js.Trajectory:
+    def rollout(self, gains: js.TrackingGains, speed: Real, start: tuple[Real, Real] = TABLE_4_START) -> js.Trajectory:
         """Roll out one speed with these gains, saved at every look."""
         task = (self.robot, self.slope, gains, speed)
         options = {"plant": self.plant, "control_period": self.dt, "save_every": self.sample_every, "throw": False}
-        return js.track_line(
-            *task, duration=self.duration, dt=self.dt, torque_limit=self.torque_limit, start=self.start, **options
-        )
+        return js.track_line(*task, duration=self.duration, dt=self.dt, torque_limit=self.torque_limit, start=start, **options)
 
     def residuals(self, gains: js.TrackingGains) -> Array:
         """Weighted residuals (m,) of all rollouts; the objective is the sum of their squares.
@@ -130,13 +133,14 @@ class FollowLine:
         """
         self.check()
 
-        def of_one(speed: Array) -> Array:
-            trajectory = self.rollout(gains, speed)
+        def of_one(speed: Array, x: Array, y: Array) -> Array:
+            trajectory = self.rollout(gains, speed, (x, y))
             parts = zip(self.weights, self._moving(trajectory, speed), strict=False)
             own = [jnp.sqrt(term.weight) * scalar_of(term, trajectory)[None] for term in self.extra]
             return jnp.concatenate([*(jnp.sqrt(w) * part.reshape(-1) for w, part in parts if not is_off(w)), *own])
 
-        moving = jax.vmap(of_one)(jnp.asarray(self.speeds)).reshape(-1) / math.sqrt(len(self.speeds))
+        moving = jax.vmap(of_one)(*self._lanes)
+        moving = moving.reshape(-1) / math.sqrt(moving.shape[0])
         if is_off(self.weights.prior):
             return moving
         return jnp.concatenate([moving, jnp.sqrt(self.weights.prior) * self._prior(gains)])
@@ -145,12 +149,13 @@ class FollowLine:
         """Evaluate every term, unweighted."""
         self.check()
 
-        def of_one(speed: Array) -> tuple[Array, ...]:
-            return tuple(jnp.sum(part * part) for part in self._moving(self.rollout(gains, speed), speed))
+        def of_one(speed: Array, x: Array, y: Array) -> tuple[Array, ...]:
+            return tuple(jnp.sum(part * part) for part in self._moving(self.rollout(gains, speed, (x, y)), speed))
 
-        moving = jax.vmap(of_one)(jnp.asarray(self.speeds))
+        moving = jax.vmap(of_one)(*self._lanes)
         prior = self._prior(gains)
-        return LineTerms(*(jnp.mean(term) for term in moving), jnp.sum(prior * prior))
+        distance, late, lean, friction, effort, lost = (jnp.mean(term) for term in moving)
+        return LineTerms(distance, late, lean, friction, effort, lost, jnp.sum(prior * prior))
 
     def __call__(self, gains: js.TrackingGains) -> Array:
         """Weighted sum of the terms. Its forward gradient needs no memory in the horizon, but for terms of the user's own."""
@@ -158,7 +163,7 @@ class FollowLine:
             residuals = self.residuals(gains)
             return jnp.sum(residuals * residuals)
         self.check()
-        moving = jax.vmap(partial(self._streamed, gains))(jnp.asarray(self.speeds))
+        moving = jax.vmap(partial(self._streamed, gains))(*self._lanes)
         prior = self._prior(gains)
         terms = (*(jnp.mean(term) for term in moving), jnp.sum(prior * prior))
         return sum((w * term for w, term in zip(self.weights, terms, strict=True)), jnp.zeros(()))
@@ -166,12 +171,14 @@ class FollowLine:
     def explain(self, gains: js.TrackingGains) -> str:
         """Say which lane, when and what is not finite at these gains, or how the lanes ended."""
         told = []
-        for speed in self.speeds:
-            found = self.rollout(gains, speed)
+        for speed, start in product(self.speeds, self.starts):
+            found = self.rollout(gains, speed, start)
             for name, values in zip(LineTerms._fields, self._moving(found, jnp.asarray(speed)), strict=False):
                 bad = ~np.isfinite(np.asarray(values).reshape(len(np.asarray(values)), -1)).all(axis=-1)
                 if bad.any():
-                    told.append(f"{speed:g} m/s: {name} is not finite at {float(found.time[int(np.argmax(bad))]):g} s")
+                    told.append(
+                        f"{speed:g} m/s from {start} m: {name} is not finite at {float(found.time[int(np.argmax(bad))]):g} s"
+                    )
         return "; ".join(told) or "every rollout is finite, its derivatives are not"
 
     def _moving(self, trajectory: js.Trajectory, speed: Array) -> tuple[Array, ...]:
@@ -188,10 +195,10 @@ class FollowLine:
         parts = [jnp.stack(group, axis=-1) * weight[:, None] for group, weight in zip(groups, weights, strict=True)]
         return (*parts, weights[0] * ~alive)
 
-    def _streamed(self, gains: js.TrackingGains, speed: Array) -> tuple[Array, ...]:
-        """Terms distance ... lost of one speed, summed up inside the rollout, which saves nothing."""
+    def _streamed(self, gains: js.TrackingGains, speed: Array, x: Array, y: Array) -> tuple[Array, ...]:
+        """Terms distance ... lost of one lane, summed up inside the rollout, which saves nothing."""
         reference = references.line(speed)
-        state = tuple(jnp.asarray(x, float) for x in tracking.resting_state(self.robot, self.slope, self.start))
+        state = tuple(jnp.asarray(x, float) for x in tracking.resting_state(self.robot, self.slope, (x, y)))
         zero = jnp.zeros_like(state[0])
 
         def add(total: tuple[Array, ...], time: Array, state: Components, torque: Components, dt: Array) -> tuple[Array, ...]:
@@ -219,6 +226,13 @@ class FollowLine:
         rest = [left, left_late, left, zero, zero]
         moving = (t + w * _square(group) for t, w, group in zip(trajectory.metrics, rest, last, strict=True))
         return (*moving, left)
+
+    @property
+    def _lanes(self) -> tuple[Array, Array, Array]:
+        """Speed, x and y of the start of every rollout, (lanes,) each."""
+        every = [(speed, *start) for speed, start in product(self.speeds, self.starts)]
+        speed, x, y = jnp.asarray(every, float).T
+        return speed, x, y
 
     @property
     def _true_robot(self) -> js.Robot:

@@ -181,5 +181,5 @@ def quadratic(residuals: Any, vector: Array, steepest: float = math.inf) -> Quad
     if steepest < math.inf:
         most = steepest * jnp.maximum(jnp.abs(r), jnp.sqrt(jnp.mean(r * r)))
         slope = jnp.sqrt(jnp.sum(jacobian * jacobian, axis=0))
-        jacobian = jacobian * jnp.where(slope > most, most / jnp.where(slope > most, slope, 1.0), 1.0)
+        jacobian = jacobian * jnp.where(slope > most, most / jnp.where(slope > most, slope, 1.0), 1.0)[None, :]
     return Quadratic(jnp.sum(r * r), 2.0 * jacobian @ r, 2.0 * jacobian @ jacobian.T)

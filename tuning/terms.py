@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -39,8 +39,8 @@ def scalar_of(term: Term, trajectory: js.Trajectory) -> Array:
     return value
 
 
-def require_terms(weights: tuple[Real, ...], extra: tuple[Term, ...]) -> None:
-    """Raise ValueError when every weight is zero and there is no term of the user's own."""
+def require_terms(weights: Any, extra: tuple[Term, ...]) -> None:
+    """Raise ValueError when every weight of the NamedTuple is zero and there is no term of the user's own."""
     if not extra and all(is_off(weight) for weight in weights):
         raise ValueError(
             "weights leaves the objective without terms; type a positive one, e.g. "

@@ -83,7 +83,8 @@ def tune(
         objective: gains -> scalar, differentiable, e.g. `tuning.RestToRest(...)`. initial_gains: the first start.
         optimiser: "adam", "lbfgs", "lm" (Levenberg-Marquardt; the objective then needs `residuals(gains) -> (m,)`, whose
         squares sum to it, and may have `steepest`, see `quadratic`) or a pair (init, update).
-        iterations: per start, one rollout with gradient each; 150, 60 or 80 by default. learning_rate: of Adam in the free coordinates (about relative change per step), decaying along a cosine.
+        iterations: per start, one rollout with gradient each; 150, 60 or 80 by default. learning_rate: of Adam in the free
+        coordinates (about relative change per step), decaying along a cosine.
         starts: how many, by Latin hypercube, all but the first: over `bounds` (name -> lowest and highest value, kept by
         construction) for the gains that have them all, otherwise normal around the first with the standard deviation
         `spread` in free coordinates, from `seed`. frozen: gains to keep. transforms: see `parametrise`.

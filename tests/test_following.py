@@ -1,0 +1,193 @@
+"""Following lines as an objective: its terms recomputed, residuals and streamed sum, gradients, early ends, the search."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxsphere as js
+import tuning
+from jaxsphere.models import contact
+from jaxsphere.models.contact import Contact
+
+NAMES = tuple(tuning.SPATIAL_BOUNDS)
+EVERY = tuning.LineWeights(*(0.5 + i for i in range(len(tuning.LineWeights._fields))))
+# Limits low enough that every term but `lost` is at work.
+SHORT = tuning.FollowLine(
+    speeds=(0.3, 0.6),
+    duration=0.48,
+    dt=8e-3,
+    sample_every=3,
+    settled_after=0.25,
+    weights=EVERY,
+    lean_limit=0.05,
+    friction_limit=0.05,
+)
+GAINS = js.TrackingGains(k1=60.0, k_p=700.0, a_max=1.5)
+# Compiling takes longer than running.
+FAST = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+
+
+def compiled(function):
+    """Compile in a hurry."""
+    return jax.jit(function, compiler_options=FAST)
+
+
+def evaluate(objective):
+    """Return (gains, slope) -> objective, terms, sum of the squared residuals."""
+
+    def at(gains, slope):
+        there = replace(objective, slope=slope)
+        return there(gains), there.terms(gains), jnp.sum(there.residuals(gains) ** 2)
+
+    return compiled(at)
+
+
+@pytest.fixture(scope="module")
+def evaluated():
+    """`evaluate` of the short task, compiled once."""
+    return evaluate(SHORT)
+
+
+def test_terms_equal_those_of_the_saved_rollouts(evaluated, slope):
+    terms = evaluated(GAINS, slope)[1]
+    expected = {name: [] for name in tuning.LineTerms._fields[:5]}
+    for speed in SHORT.speeds:
+        found = js.track_line(
+            js.Robot(), slope, GAINS, speed, duration=0.48, dt=8e-3, control_period=8e-3, torque_limit=5.0, diagnostics=True
+        )
+        looks = np.arange(0, 60, 3)
+        time, state, torque = (np.asarray(x)[looks] for x in (found.time, found.state, found.torque))
+        square = 1e4 * np.sum((state[:, :2] - speed * np.sqrt(0.5) * time[:, None]) ** 2, axis=1)
+        lean = np.maximum(np.rad2deg(np.abs(state[:, 3] - 0.5 * np.pi) - 0.05), 0.0)
+        steeper = np.arctan(np.asarray(found.diagnostics.contact.friction_coefficient)[looks]) - np.arctan(0.05)
+        slip = np.maximum(np.rad2deg(steeper), 0.0)
+        expected["distance"].append(square.mean())
+        expected["late"].append(square[time >= 0.25].mean())
+        expected["lean"].append(np.mean(2.0 * (np.sqrt(1.0 + lean**2) - 1.0)))
+        expected["friction"].append(np.mean(2.0 * (np.sqrt(1.0 + slip**2) - 1.0)))
+        expected["effort"].append(np.mean(np.sum(torque**2, axis=1)))
+    for name, values in expected.items():
+        assert np.mean(values) > 0.0
+        assert getattr(terms, name) == pytest.approx(np.mean(values), rel=1e-9), name  # another program
+    assert terms.lost == 0.0
+    assert terms.prior == pytest.approx(np.log(60 / 49) ** 2 + np.log(7 / 9) ** 2 + np.log(1.5) ** 2)
+
+
+@pytest.mark.parametrize("slope", [0.17, 0.4], ids=["follows", "past the bound"])
+def test_objective_is_the_weighted_sum_of_its_terms_and_of_its_squared_residuals(evaluated, slope):
+    value, terms, squares = evaluated(GAINS, slope)
+    expected = sum(w * float(t) for w, t in zip(EVERY, terms, strict=True))
+    assert value == pytest.approx(expected, rel=1e-9)  # the first sums inside the rollout, the second over what it saved
+    assert squares == pytest.approx(expected, rel=1e-12)
+    assert terms.lost == pytest.approx(0.0 if slope == 0.17 else 1.0)
+
+
+def test_a_lane_that_ends_early_keeps_its_error_and_pays_for_the_rest():
+    wild = js.TrackingGains(k1=150.0, k2=2.0, k3=150.0, k4=2.0, a_max=6.0)
+    objective = replace(SHORT, speeds=(1.5,), duration=2.4)
+    found = objective.rollout(wild, 1.5)
+    assert int(found.status) not in (js.Status.OK, js.Status.NOT_SETTLED)
+    end = float(found.end_time)
+    assert 0.2 < end < 2.0
+    value, terms, squares = evaluate(objective)(wild, objective.slope)
+    assert np.isfinite(value)
+    assert squares == pytest.approx(float(value), rel=1e-7)
+    time = np.arange(0, 300, 3) * 8e-3
+    assert terms.lost == pytest.approx(np.mean(time > end - 4e-3))
+    reached = np.minimum(time, end)
+    error = np.asarray(found.state)[:-1, :2] - 1.5 * np.sqrt(0.5) * reached[:, None]
+    assert terms.distance == pytest.approx(1e4 * np.mean(np.sum(error**2, axis=1)), rel=1e-7)
+
+
+def test_forward_reverse_and_differences_agree_for_all_seven_gains():
+    chosen = tuning.parametrise(GAINS, transforms={name: tuning.POSITIVE for name in NAMES})
+    objective = replace(SHORT, speeds=(0.3,), duration=0.32, settled_after=0.16, dt=1.6e-2, sample_every=2)
+    vector = chosen.to_vector(GAINS)
+    value = compiled(lambda free: objective(chosen.to_gains(free)))
+    forward = compiled(tuning.value_and_gradient(objective, chosen))(vector)[1]
+    reverse = compiled(jax.grad(lambda free: jnp.sum(objective.residuals(chosen.to_gains(free)) ** 2)))(vector)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-8)
+    steps = 1e-5 * np.eye(7)
+    differences = [(float(value(vector + step)) - float(value(vector - step))) / 2e-5 for step in steps]
+    np.testing.assert_allclose(forward, differences, rtol=1e-4, atol=1e-5 * np.abs(forward).max())
+    assert np.all(np.asarray(forward) != 0.0)
+
+
+def test_friction_angle_is_the_arctangent_of_the_coefficient_and_smooth_beyond(slope):
+    found = SHORT.rollout(GAINS, 0.6)
+    for state, torque in zip(found.state[:-1:5], found.torque[:-1:5], strict=True):
+        forces = contact.contact(js.Robot(), slope, tuple(state), tuple(torque))
+        assert np.tan(tuning.friction_angle(forces)) == pytest.approx(float(forces.friction_coefficient), rel=1e-12)
+
+    def angle(normal):
+        return tuning.friction_angle(Contact(normal, (jnp.asarray(3.0), jnp.asarray(4.0)), jnp.zeros(())))
+
+    assert angle(jnp.asarray(0.0)) == pytest.approx(0.5 * np.pi)
+    assert jax.grad(angle)(0.0) == pytest.approx(-0.2)
+    assert angle(jnp.asarray(-5.0)) == pytest.approx(0.75 * np.pi)  # the sphere would leave the slope
+    still = jax.grad(lambda force: tuning.friction_angle(Contact(jnp.ones(()), (force, force), jnp.zeros(()))))
+    assert still(0.0) == 0.0
+
+
+def test_the_plants_friction_and_motion_are_the_true_robots():
+    heavy = replace(js.Robot(), pendulum_mass=2.5)
+    small = replace(SHORT, speeds=(0.3,), duration=0.24, settled_after=0.08)
+    told = compiled(lambda plant: (replace(small, plant=plant)(GAINS), replace(small, plant=plant).terms(GAINS)))
+    same, terms = told(js.Robot())
+    other, changed = told(heavy)
+    assert same == pytest.approx(sum(w * float(t) for w, t in zip(EVERY, terms, strict=True)), rel=1e-9)
+    assert other == pytest.approx(sum(w * float(t) for w, t in zip(EVERY, changed, strict=True)), rel=1e-9)
+    assert abs(float(changed.friction) / float(terms.friction) - 1.0) > 1e-3
+
+
+def test_own_term_adds_its_weighted_mean_square_over_the_speeds():
+    peak = tuning.Term("peak spin", lambda trajectory: jnp.max(jnp.abs(trajectory.state[:, 9])), weight=0.25)
+    objective = replace(SHORT, weights=tuning.LineWeights(*(0.0,) * 6, 1.0), extra=(peak,))
+    peaks = [float(jnp.max(jnp.abs(SHORT.rollout(GAINS, speed).state[:, 9]))) for speed in SHORT.speeds]
+    prior = float(jnp.sum(objective._prior(GAINS) ** 2))
+    assert objective(GAINS) == pytest.approx(prior + 0.25 * np.mean(np.square(peaks)), rel=1e-9)
+
+
+def test_levenberg_marquardt_lowers_the_objective_from_every_start():
+    objective = replace(
+        SHORT, speeds=(0.4,), duration=0.96, dt=1.6e-2, settled_after=0.48, weights=tuning.LineWeights(), lean_limit=0.8
+    )
+    settings = {"bounds": tuning.SPATIAL_BOUNDS, "starts": 4, "iterations": 8, "chunk": 8, "progress": False}
+    found = tuning.tune(objective, js.TrackingGains(), optimiser="lm", **settings)
+    assert np.all(found.bests < 0.98 * found.history["objective"][0])
+    assert found.objective == found.bests.min()
+    winner = int(np.argmin(found.bests))
+    for name, (low, high) in tuning.SPATIAL_BOUNDS.items():
+        assert np.all((low <= found.answers[name]) & (found.answers[name] <= high))
+        assert found.answers[name][winner] == pytest.approx(getattr(found.gains, name), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"speeds": ()}, r"speeds = \(\) leaves nothing to follow; type at least one speed"),
+        ({"speeds": (0.3, np.nan)}, "speeds = nan m/s is not admissible"),
+        ({"starts": (0.3, 0.1)}, r"starts = \(0\.3, 0\.1\) are no positions; type pairs"),
+        ({"settled_after": 0.48}, r"settled_after = 0\.48 s is not admissible; type a number at least 0 and below 0\.48"),
+        ({"sample_every": 7}, "save_every = 7 must be None or a whole number that divides the 60 steps"),
+        ({"sample_every": 0}, "sample_every = 0 is not admissible"),
+        ({"friction_limit": -0.1}, r"friction_limit = -0\.1 is not admissible"),
+        ({"lean_limit": 90.0}, "lean_limit = 90 rad is not admissible"),
+        ({"steepest": 0.0}, r"steepest = 0\.0 is not admissible"),
+        ({"weights": tuning.LineWeights(lean=-1.0)}, r"weights\.lean = -1 is not admissible"),
+        ({"weights": tuning.LineWeights(*(0.0,) * 7)}, r"type a positive one, e\.g\. tuning\.LineWeights\(distance=1\.0\)"),
+        ({"extra": (tuning.Term("path", lambda trajectory: trajectory.state[:, 0]),)}, "term 'path' returns shape"),
+    ],
+)  # fmt: skip
+def test_faults_get_one_sentence(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(SHORT, **change)(GAINS)
+
+
+def test_what_is_not_finite_is_named_with_lane_and_time():
+    broken = replace(SHORT, friction_limit=np.nan)
+    assert "0.3 m/s from (0.3, 0.1) m: friction is not finite at 0 s" in broken.explain(GAINS)
+    assert "every rollout is finite" in SHORT.explain(GAINS)
