@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import jaxsphere as js
@@ -38,6 +37,26 @@ class Scores(NamedTuple):
     rms: np.ndarray  # root mean square distance over 20 s, cm
     worst: np.ndarray  # largest distance after 5 s, cm
     ended: np.ndarray  # whether the lane ended early, e.g. with singular coordinates; its other figures say little
+
+
+def search(
+    objective: tuning.FollowLine,
+    initial: js.TrackingGains,
+    validation_speeds: Sequence[float] = VALIDATION_SPEEDS,
+    *,
+    iterations: int = 20,
+    frozen: Sequence[str] = (),
+    optimiser: str = "lm",
+    **settings: Any,
+) -> tuning.TuningResult:
+    """Tune within SPATIAL_BOUNDS and choose among the answers of the starts at the validation speeds.
+
+    settings: as in `tuning.tune`.
+    """
+    bounds = {name: ends for name, ends in tuning.SPATIAL_BOUNDS.items() if name not in frozen}
+    options = {"iterations": iterations, "frozen": frozen, "optimiser": optimiser, "bounds": bounds, "chunk": 5}
+    found = tuning.tune(objective, initial, **options, **settings)
+    return choose(found, objective.robot, float(objective.slope), validation_speeds, objective.torque_limit)
 
 
 def score(

@@ -52,7 +52,7 @@ class LineWeights(NamedTuple):
 
     distance: Real = 1.0
     late: Real = 10.0
-    lean: Real = 3.0
+    lean: Real = 6.0
     friction: Real = 0.1
     effort: Real = 0.0
     lost: Real = 1e4
@@ -90,7 +90,7 @@ class FollowLine:
     dt: float = 4e-3
     torque_limit: float | None = 5.0
     weights: LineWeights = LineWeights()
-    lean_limit: Real = 0.8
+    lean_limit: Real = 0.75
     friction_limit: Real = 0.5
     starts: tuple[tuple[float, float], ...] = (TABLE_4_START,)
     settled_after: float = 2.0

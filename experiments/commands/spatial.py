@@ -78,23 +78,21 @@ def tune(options: TuneSpatial) -> None:
     for name in ("validation_speeds", "held_out_speeds"):
         if not getattr(settings, name):
             raise ValueError(f"{name} = () leaves nothing to score; type at least one speed in m/s, e.g. 0.35")
-    result = tuning.tune(
+    result = lines.search(
         objective,
         initial,
+        settings.validation_speeds,
         optimiser=settings.optimiser,
         iterations=settings.iterations,
         starts=settings.starts,
-        bounds={name: ends for name, ends in tuning.SPATIAL_BOUNDS.items() if name not in settings.frozen},
         learning_rate=settings.learning_rate,
         seed=settings.seed,
         gradient=settings.gradient,
         frozen=settings.frozen,
-        chunk=5,
         progress=settings.progress,
         checkpoint=settings.checkpoint,
         resume=settings.resume,
     )
-    result = lines.choose(result, robot, slope, settings.validation_speeds, settings.torque_limit)
     result.save(record.folder / "tuning.json")
     runs = {"before": initial, "after": result.gains}
     sets = {"tuned on": (settings.speeds, lines.TRAINING_STARTS), "held out": (settings.held_out_speeds, lines.HELD_OUT_STARTS)}

@@ -99,13 +99,13 @@ class TrackTuningOptions:
     """Time step and control period of the tuning rollouts, s."""
     torque_limit: float = 5.0
     """N m"""
-    lean_limit_deg: float = 46.0
+    lean_limit_deg: float = 43.0
     """Lean of the spin axis that is penalised beyond, degrees."""
     friction_limit: float = 0.5
     """Coefficient of friction that rolling may need; more is penalised."""
     optimiser: str = "lm"
     """lm (Levenberg-Marquardt), lbfgs or adam."""
-    iterations: int = 25
+    iterations: int = 20
     """Steps per start."""
     starts: int = 16
     """Starts, all optimised at once."""
