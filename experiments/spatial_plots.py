@@ -110,8 +110,8 @@ def speeds_figure(title: str, sets: Sequence[tuple[str, Sequence[float], np.ndar
                 shown = np.maximum(errors[row], 1e-2)
                 line = {"color": style["color"], "marker": marker, "markersize": 5, "linewidth": 1.1} | look
                 panel.plot(np.asarray(speeds)[order], shown[order], label=f"{name}, {when}", **line)
-        panel.set_yscale("log")
         name_axes(panel, "speed (m/s)", label)
+    axes[0, 1].set_yscale("log")
     fig.suptitle(title)
     return fig
 
