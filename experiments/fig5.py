@@ -37,7 +37,7 @@ def reproduce(record: Record, progress: bool = True) -> dict[str, Any]:
     readings = {name: _line(table, 0.5, name) for name in ("exact", "pseudo_inverse")}
     objective = tuning.FollowLine(slope=SLOPE, speeds=lines.TRAINING_SPEEDS, starts=lines.TRAINING_STARTS)
     settings: dict[str, Any] = {"starts": TUNING_STARTS, "progress": progress}
-    outer = lines.search(objective, table, frozen=("k_p", "k_d", "a_max"), iterations=10, **settings)
+    outer = lines.search(objective, table, (), frozen=("k_p", "k_d", "a_max"), iterations=10, **settings)
     result = lines.search(objective, table, **settings)
     result.save(record.folder / "fig5_tuning.json")
     tuned = {speed: _line(result.gains, speed) for speed in SPEEDS}

@@ -49,13 +49,15 @@ def search(
     optimiser: str = "lm",
     **settings: Any,
 ) -> tuning.TuningResult:
-    """Tune within SPATIAL_BOUNDS and choose among the answers of the starts at the validation speeds.
+    """Tune within SPATIAL_BOUNDS and choose among the answers of the starts at the validation speeds, if any.
 
     settings: as in `tuning.tune`.
     """
     bounds = {name: ends for name, ends in tuning.SPATIAL_BOUNDS.items() if name not in frozen}
     options = {"iterations": iterations, "frozen": frozen, "optimiser": optimiser, "bounds": bounds, "chunk": 5}
     found = tuning.tune(objective, initial, **options, **settings)
+    if not validation_speeds:
+        return found
     return choose(found, objective.robot, float(objective.slope), validation_speeds, objective.torque_limit)
 
 

@@ -12,7 +12,6 @@ import tuning
 from jaxsphere.models import contact
 from jaxsphere.models.contact import Contact
 
-NAMES = tuple(tuning.SPATIAL_BOUNDS)
 EVERY = tuning.LineWeights(*(0.5 + i for i in range(len(tuning.LineWeights._fields))))
 # Limits low enough that every term but `lost` is at work.
 SHORT = tuning.FollowLine(
@@ -37,14 +36,27 @@ def compiled(function):
 
 @pytest.fixture(scope="module")
 def evaluated():
-    """(gains, slope, plant) -> objective, terms and sum of the squared residuals of the short task, compiled once."""
+    """(gains, slope, plant) -> objective and terms of the short task, compiled once."""
 
     def at(gains, slope, plant):
         there = replace(SHORT, slope=slope, plant=plant)
-        return there(gains), there.terms(gains), jnp.sum(there.residuals(gains) ** 2)
+        return there(gains), there.terms(gains)
 
     run = compiled(at)
     return lambda gains, slope, plant=js.Robot(): run(gains, slope, plant)
+
+
+CHOSEN = tuning.parametrise(GAINS, transforms={name: tuning.bounded(*ends) for name, ends in tuning.SPATIAL_BOUNDS.items()})
+
+
+@pytest.fixture(scope="module")
+def expanded():
+    """Free vectors (4, 7) -> `Quadratic` of the residuals, compiled once."""
+
+    def at(vector):
+        return tuning.quadratic(lambda free: SHORT.residuals(CHOSEN.to_gains(free)), vector)
+
+    return compiled(jax.vmap(at))
 
 
 def test_terms_equal_those_of_the_saved_rollouts(evaluated, slope):
@@ -73,18 +85,18 @@ def test_terms_equal_those_of_the_saved_rollouts(evaluated, slope):
 
 
 @pytest.mark.parametrize("slope", [0.17, 0.4], ids=["follows", "past the bound"])
-def test_objective_is_the_weighted_sum_of_its_terms_and_of_its_squared_residuals(evaluated, slope):
-    value, terms, squares = evaluated(GAINS, slope)
+def test_objective_is_the_weighted_sum_of_its_terms(evaluated, slope):
+    value, terms = evaluated(GAINS, slope)
     expected = sum(w * float(t) for w, t in zip(EVERY, terms, strict=True))
     assert value == pytest.approx(expected, rel=1e-9)  # the first sums inside the rollout, the second over what it saved
-    assert squares == pytest.approx(expected, rel=1e-12)
     assert terms.lost == pytest.approx(0.0 if slope == 0.17 else 1.0)
 
 
 def test_a_lane_that_ends_early_keeps_its_error_and_pays_for_the_rest(evaluated):
     wild = js.TrackingGains(k1=121.3, k2=2.1, k3=211.6, k4=1.2, k_p=1243.1, k_d=53.8, a_max=2.4)
-    value, terms, squares = evaluated(wild, 0.04)
-    assert squares == pytest.approx(float(value), rel=1e-6)  # wild gains blow rounding up
+    value, terms = evaluated(wild, 0.04)
+    expected = sum(w * float(t) for w, t in zip(EVERY, terms, strict=True))
+    assert value == pytest.approx(expected, rel=1e-6)  # wild gains blow rounding up
     task = {"duration": 0.96, "dt": 8e-3, "control_period": 8e-3, "save_every": 3, "throw": False}
     time = np.arange(0, 120, 3) * 8e-3
     lost, distance = [], []
@@ -99,18 +111,17 @@ def test_a_lane_that_ends_early_keeps_its_error_and_pays_for_the_rest(evaluated)
     assert terms.distance == pytest.approx(np.mean(distance), rel=1e-6)
 
 
-def test_forward_reverse_and_differences_agree_for_all_seven_gains():
-    chosen = tuning.parametrise(GAINS, transforms={name: tuning.POSITIVE for name in NAMES})
-    objective = replace(SHORT, speeds=(0.3,), duration=0.32, settled_after=0.16, dt=1.6e-2, sample_every=2)
-    vector = chosen.to_vector(GAINS)
-    value = compiled(lambda free: objective(chosen.to_gains(free)))
-    forward = compiled(tuning.value_and_gradient(objective, chosen))(vector)[1]
-    reverse = compiled(jax.grad(lambda free: jnp.sum(objective.residuals(chosen.to_gains(free)) ** 2)))(vector)
-    np.testing.assert_allclose(reverse, forward, rtol=1e-8)
-    steps = 1e-5 * np.eye(7)
-    differences = [(float(value(vector + step)) - float(value(vector - step))) / 2e-5 for step in steps]
+def test_squared_residuals_sum_to_the_objective_and_the_three_gradients_agree(evaluated, expanded, slope):
+    vector = CHOSEN.to_vector(GAINS)
+    seen = expanded(jnp.broadcast_to(vector, (4, 7)))
+    assert seen.value[0] == pytest.approx(float(evaluated(GAINS, slope)[0]), rel=1e-9)
+    forward = np.asarray(seen.gradient[0])
+    reverse = compiled(jax.grad(lambda free: SHORT(CHOSEN.to_gains(free))))(vector)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-8, atol=1e-9 * np.abs(forward).max())
+    ends = [[evaluated(CHOSEN.to_gains(vector + sign * step), slope)[0] for sign in (1, -1)] for step in 1e-5 * np.eye(7)]
+    differences = [float(up - down) / 2e-5 for up, down in ends]
     np.testing.assert_allclose(forward, differences, rtol=1e-4, atol=1e-5 * np.abs(forward).max())
-    assert np.all(np.asarray(forward) != 0.0)
+    assert np.all(forward != 0.0)
 
 
 def test_friction_angle_is_the_arctangent_of_the_coefficient_and_smooth_beyond(slope):
@@ -130,8 +141,8 @@ def test_friction_angle_is_the_arctangent_of_the_coefficient_and_smooth_beyond(s
 
 
 def test_the_plants_friction_and_motion_are_the_true_robots(evaluated, slope):
-    value, terms, squares = evaluated(GAINS, slope, replace(js.Robot(), pendulum_mass=2.5))
-    assert value == pytest.approx(float(squares), rel=1e-9)
+    value, terms = evaluated(GAINS, slope, replace(js.Robot(), pendulum_mass=2.5))
+    assert value == pytest.approx(sum(w * float(t) for w, t in zip(EVERY, terms, strict=True)), rel=1e-9)
     for name in ("distance", "friction"):
         assert abs(float(getattr(terms, name)) / float(getattr(evaluated(GAINS, slope)[1], name)) - 1.0) > 1e-3
 
@@ -144,18 +155,17 @@ def test_own_term_adds_its_weighted_mean_square_over_the_speeds():
     assert objective(GAINS) == pytest.approx(prior + 0.25 * np.mean(np.square(peaks)), rel=1e-9)
 
 
-def test_levenberg_marquardt_lowers_the_objective_from_every_start():
-    objective = replace(
-        SHORT, speeds=(0.4,), duration=0.96, dt=1.6e-2, settled_after=0.48, weights=tuning.LineWeights(), lean_limit=0.8
-    )
-    settings = {"bounds": tuning.SPATIAL_BOUNDS, "starts": 4, "iterations": 8, "chunk": 8, "progress": False}
-    found = tuning.tune(objective, js.TrackingGains(), optimiser="lm", **settings)
-    assert np.all(found.bests < 0.98 * found.history["objective"][0])
-    assert found.objective == found.bests.min()
-    winner = int(np.argmin(found.bests))
-    for name, (low, high) in tuning.SPATIAL_BOUNDS.items():
-        assert np.all((low <= found.answers[name]) & (found.answers[name] <= high))
-        assert found.answers[name][winner] == pytest.approx(getattr(found.gains, name), rel=1e-12)
+def test_levenberg_marquardt_lowers_the_objective_from_every_start(expanded, key):
+    rule = tuning.levenberg_marquardt()
+    vectors = jnp.arcsin(1.8 * tuning.latin_hypercube(key, 4, 7) - 0.9)
+    state, update = jax.vmap(rule.init)(vectors), jax.jit(jax.vmap(rule.update))
+    values = []
+    for _ in range(8):
+        seen = expanded(vectors)
+        values.append(seen.value)
+        vectors, state = update(seen, state, vectors)
+    assert np.all(np.isfinite(values))
+    assert np.all(np.min(values, axis=0) < 0.99 * values[0])
 
 
 @pytest.mark.parametrize(

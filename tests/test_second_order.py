@@ -161,6 +161,8 @@ def test_tuning_within_bounds_by_every_optimiser():
         found = tuning.tune(Bowl(), js.SlidingModeGains(), **settings)
         assert found.optimiser == optimiser
         assert found.near_best() == 1.0
+        assert found.answers["c2"].shape == (4,)
+        assert found.answers["c2"][np.argmin(found.bests)] == found.gains.c2
         assert found.gains.c2 == pytest.approx(3.0, rel=0.05)
         assert 18.0 < found.gains.eta < 20.001  # its bound, where the optimum is beyond
 
