@@ -116,7 +116,7 @@ def test_squared_residuals_sum_to_the_objective_and_the_three_gradients_agree(ev
     seen = expanded(jnp.broadcast_to(vector, (4, 7)))
     assert seen.value[0] == pytest.approx(float(evaluated(GAINS, slope)[0]), rel=1e-9)
     forward = np.asarray(seen.gradient[0])
-    reverse = compiled(jax.grad(lambda free: SHORT(CHOSEN.to_gains(free))))(vector)
+    reverse = compiled(jax.grad(lambda free: jnp.sum(SHORT.residuals(CHOSEN.to_gains(free)) ** 2)))(vector)
     np.testing.assert_allclose(reverse, forward, rtol=1e-8, atol=1e-9 * np.abs(forward).max())
     ends = [[evaluated(CHOSEN.to_gains(vector + sign * step), slope)[0] for sign in (1, -1)] for step in 1e-5 * np.eye(7)]
     differences = [float(up - down) / 2e-5 for up, down in ends]
@@ -152,7 +152,7 @@ def test_own_term_adds_its_weighted_mean_square_over_the_speeds():
     objective = replace(SHORT, weights=tuning.LineWeights(*(0.0,) * 6, 1.0), extra=(peak,))
     peaks = [float(jnp.max(jnp.abs(SHORT.rollout(GAINS, speed).state[:, 9]))) for speed in SHORT.speeds]
     prior = float(jnp.sum(objective._prior(GAINS) ** 2))
-    assert objective(GAINS) == pytest.approx(prior + 0.25 * np.mean(np.square(peaks)), rel=1e-9)
+    assert compiled(objective)(GAINS) == pytest.approx(prior + 0.25 * np.mean(np.square(peaks)), rel=1e-9)
 
 
 def test_levenberg_marquardt_lowers_the_objective_from_every_start(expanded, key):
@@ -193,4 +193,6 @@ def test_faults_get_one_sentence(change, message):
 def test_what_is_not_finite_is_named_with_lane_and_time():
     broken = replace(SHORT, friction_limit=np.nan)
     assert "0.3 m/s from (0.3, 0.1) m: friction is not finite at 0 s" in broken.explain(GAINS)
+    far = replace(SHORT, starts=((np.inf, 0.0),))
+    assert "0.3 m/s from (inf, 0.0) m: distance is not finite at 0 s" in far.explain(GAINS)
     assert "every rollout is finite" in SHORT.explain(GAINS)
