@@ -99,7 +99,7 @@ def changes(result: TuningResult, axes: Axes) -> None:
     near = result.bests <= 1.02 * result.objective
     axes.barh(rows, np.log2(after / before), color=STYLES[0]["color"], height=0.5, label="best start")
     for row, name in enumerate(result.names):
-        ends = np.log2(result.finals[name][near] / before[row])
+        ends = np.log2(result.answers[name][near] / before[row])
         axes.plot(ends, np.full(ends.shape, row - 0.38), "|", color=STYLES[1]["color"], label=None if row else "within 2 %")
     axes.set_yticks(rows, result.names)
     axes.axvline(0.0, color="0.4", linewidth=0.8)

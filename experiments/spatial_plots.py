@@ -93,6 +93,29 @@ def friction_figure(tracks: Sequence[Track]) -> Figure:
     return fig
 
 
+def speeds_figure(title: str, sets: Sequence[tuple[str, Sequence[float], np.ndarray, np.ndarray]]) -> Figure:
+    """Errors over speed before (hollow, dashed) and after (filled): a panel each for rms and worst error after 5 s.
+
+    A set is its name, its speeds (n,) in m/s, and both errors in cm, (2, n) each: before and after.
+    """
+    fig, axes = figure(1, 2, (9.5, 4.0))
+    for panel, index, label in (
+        (axes[0, 0], 2, "rms distance over 20 s (cm)"),
+        (axes[0, 1], 3, "largest distance after 5 s (cm)"),
+    ):
+        for (name, speeds, *_), errors, style, marker in zip(sets, (s[index] for s in sets), STYLES, "os^", strict=False):
+            order = np.argsort(speeds)
+            for row, when in enumerate(("before", "after")):
+                look = {"linestyle": "--", "markerfacecolor": "white"} if when == "before" else {"linestyle": "-"}
+                shown = np.maximum(errors[row], 1e-2)
+                line = {"color": style["color"], "marker": marker, "markersize": 5, "linewidth": 1.1} | look
+                panel.plot(np.asarray(speeds)[order], shown[order], label=f"{name}, {when}", **line)
+        name_axes(panel, "speed (m/s)", label)
+    axes[0, 1].set_yscale("log")
+    fig.suptitle(title)
+    return fig
+
+
 def _fate(track: Track) -> str:
     status = js.Status(int(track.trajectory.status))
     words = status.name.lower().replace("_", " ")

@@ -197,16 +197,26 @@ def test_simulate_spatial_follows_a_path_of_the_users_choice(capsys, tmp_path):
     assert sorted(p.suffix for p in tmp_path.iterdir()) == [".json", ".json", ".png", ".png"]
 
 
-def test_tune_spatial_writes_gains_that_load_again(capsys, tmp_path):
+def test_tune_spatial_writes_gains_that_load_again_and_resumes(capsys, tmp_path):
     import tuning
 
-    words = ["--iterations", "2", "--starts", "1", "--duration", "1", "--speeds", "0.3", "--no-progress"]
-    code, out, err = run(capsys, "tune", "spatial", *words, "--out", str(tmp_path))
+    words = ["--starts", "1", "--duration", "0.4", "--dt", "1e-2", "--speeds", "0.3", "--validation-speeds", "0.35", "--frozen"]
+    words += ["k_p", "k_d", "--held-out-speeds", "0.4", "--iterations", "2", "--checkpoint", str(tmp_path / "c.npz")]
+    code, out, err = run(capsys, "tune", "spatial", *words, "--no-progress", "--out", str(tmp_path))
     assert code == 0, err
     result = tuning.TuningResult.load(tmp_path / "tuning.json")
     assert result.gains.k_p == 900.0
     assert result.gains.k1 != 49.0
-    assert "after, 0.3 m/s" in out
+    assert result.answers["k1"].shape == (1,)
+    assert "held out" in out
+    assert "0.4 m/s" in out
+    metrics = json.loads((tmp_path / "metrics.json").read_text())["tuning"]
+    assert metrics["held out"]["before"]["all"]["rms_error_cm"] > 0.0
+    assert metrics["terms"]["before"]["friction"] >= 0.0
+    assert (tmp_path / "tuning_speeds.png").exists()
+    code, _, err = run(capsys, "tune", "spatial", *words, "--resume", "--seed", "1", "--out", str(tmp_path))
+    assert code == 2
+    assert "is of another problem (it differs in seed)" in err
 
 
 def test_reproduce_fig4_gives_the_reference_numbers(capsys, tmp_path):

@@ -1,6 +1,6 @@
 """Gradient health: verdicts, the Lyapunov exponent against the poles, the audit of the sign, stiff and sloppy directions."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,21 @@ def test_a_smooth_short_task_is_trusted():
     assert found.norms[-1] == pytest.approx(np.linalg.norm(found.forward), rel=1e-9)
     if found.growth <= 1.0 and found.lyapunov <= 1.0:
         assert found.verdict.startswith("trust")
+
+
+@dataclass(frozen=True, eq=False)
+class Lying(tuning.RestToRest):
+    """Its derivatives, forward and reverse alike, leave out a part of it."""
+
+    def __call__(self, gains):
+        return super().__call__(gains) + jax.lax.stop_gradient(gains.c1 * gains.c2)
+
+
+def test_a_gradient_that_differences_contradict_is_not_trusted():
+    found = tuning.check_gradient(Lying(duration=0.2, dt=2e-2), GAINS, horizons=(0.1, 0.2))
+    np.testing.assert_allclose(found.reverse, found.forward, rtol=1e-8, atol=1e-10)
+    assert found.disagreement > 1e-2
+    assert found.verdict.startswith("clip")
 
 
 @pytest.mark.parametrize(
@@ -65,6 +80,8 @@ def test_stiff_and_sloppy_directions_of_a_known_quadratic():
     sentence = found.sentence()
     assert "c1 / c2" in sentence or "c2 / c1" in sentence
     assert "1.0e+04 times as stiff" in sentence
+    # Along c1 c2 the objective is 0.02 d^2: it has risen by 0.01 at d = sqrt(0.5).
+    assert f"by a factor of {np.exp(np.sqrt(0.5)):.3g} before" in sentence
 
 
 @pytest.mark.parametrize("factor", [4, 16])

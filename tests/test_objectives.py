@@ -76,6 +76,43 @@ def test_gradient_of_the_streamed_sum_is_that_of_the_residuals():
         assert getattr(streamed, name) != 0.0
 
 
+def test_plant_start_delay_and_bias_reach_both_forms_of_the_objective():
+    base = replace(OBJECTIVE, weights=EVERY, duration=0.4)
+    nothing = (js.Robot(), jnp.array([0.0, 0.0, 0.57, 0.0]), jnp.asarray(False), jnp.zeros(4))
+    given = (
+        replace(js.Robot(), pendulum_mass=2.2),
+        jnp.array([1.5, 0.1, 0.5, 0.2]),
+        jnp.asarray(True),
+        jnp.array([0.1, 0.0, 0.05, 0.0]),
+    )
+
+    @jax.jit
+    def evaluate(plant, initial_state, late, sensor_bias):
+        names = {"plant": plant, "initial_state": initial_state, "late": late, "sensor_bias": sensor_bias}
+        objective = replace(base, **names)
+        return objective(GAINS), jnp.sum(objective.residuals(GAINS) ** 2), objective.cost_so_far(GAINS)[-1]
+
+    @jax.jit
+    def tracking(plant, initial_state, late, sensor_bias):
+        found = js.rest_to_rest(
+            js.Robot(), base.slope, GAINS, 10.0, 0.4, 8e-3, base.smoothing, 5.0, plant=plant, initial_state=initial_state,
+            late=late, sensor_bias=sensor_bias, control_period=8e-3, throw=False,
+        )  # fmt: skip
+        return found.state, replace(base, plant=plant, initial_state=initial_state, late=late, sensor_bias=sensor_bias).rollout(
+            GAINS
+        ).state
+
+    plain = evaluate(*nothing)[0]
+    for index in range(len(nothing)):
+        mixed = [*nothing]
+        mixed[index] = given[index]
+        streamed, squares, so_far = evaluate(*mixed)
+        assert streamed == pytest.approx(float(squares), rel=1e-9)  # one sums inside the rollout, one over what it saved
+        assert so_far == pytest.approx(float(squares), rel=1e-9)
+        assert abs(float(streamed / plain) - 1.0) > 1e-6, index
+        np.testing.assert_allclose(*tracking(*mixed), rtol=1e-9, atol=1e-12)
+
+
 def test_swing_within_its_limit_costs_nothing():
     assert replace(OBJECTIVE, swing_limit=1.0).terms(GAINS).swing == 0.0
 

@@ -1,5 +1,8 @@
 """The non-dominated filter, the hypervolume and a small front."""
 
+from dataclasses import dataclass
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -33,6 +36,35 @@ def test_a_small_front_trades_one_figure_for_another():
     assert front.tried == 18
     first = js.SlidingModeGains(*(float(leaf[0]) for leaf in vars(front.gains).values()))
     np.testing.assert_allclose(pareto.figures(objective, first), front.figures[0], rtol=1e-6)
+
+
+@dataclass(frozen=True, eq=False)
+class Telltale(tuning.RestToRest):
+    """Its best c1 and c2 tell the swing limit and the weight of the torque that it was given."""
+
+    def residuals(self, gains):
+        return jnp.stack([gains.c1 - 2.0 * self.swing_limit, gains.c2 - 5.5 - jnp.log10(self.weights.torque)])
+
+
+def test_weightings_fill_both_ranges_the_effort_evenly_in_its_logarithm(monkeypatch):
+    monkeypatch.setattr(pareto, "figures", lambda objective, gains: jnp.stack([gains.c1, -gains.c1, jnp.ones(())]))
+    start = js.SlidingModeGains(c1=0.6, c2=3.0)
+    front = tuning.pareto_front(Telltale(), start, points=8, iterations=40, swing=(0.15, 0.6), effort=(1e-4, 0.1))
+    swings = 0.5 * np.asarray(front.gains.c1)
+    decades = np.asarray(front.gains.c2) - 5.5
+    np.testing.assert_array_equal(np.sort(np.floor(8 * (swings - 0.15) / 0.45)), np.arange(8))
+    np.testing.assert_array_equal(np.sort(np.floor(8 * (decades + 4.0) / 3.0)), np.arange(8))
+
+
+def test_figures_are_scored_with_the_hard_sign_and_infinite_unless_settled():
+    task, gains = tuning.RestToRest(), js.SlidingModeGains()
+    found = js.rest_to_rest(
+        js.Robot(), task.slope, gains, 10.0, 8.0, 1e-3, 0.0, 5.0, control_period=1e-3, save_every=None, throw=False
+    )
+    assert found.status == js.Status.OK
+    expected = [found.metrics.settling_time, found.metrics.peak_swing, found.metrics.effort]
+    np.testing.assert_allclose(pareto.figures(task, gains), expected, rtol=1e-9)
+    assert np.all(np.isinf(pareto.figures(task, js.SlidingModeGains(c1=0.1))))
 
 
 def test_faults_get_one_sentence():

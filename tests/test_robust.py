@@ -42,6 +42,9 @@ def test_samples_fill_their_ranges_and_repeat_with_their_seed():
     np.testing.assert_array_equal(drawn.plant.shell_radius, 0.15)
     assert 0.4 < np.mean(drawn.late) < 0.6
     assert np.abs(drawn.sensor_bias[:, 2]).max() == pytest.approx(0.02, rel=0.05)
+    # About phi_0 of the robot that the controller believes in.
+    swung = drawn.initial_state[:, 2] - jax.vmap(lambda slope: js.equilibrium_swing(js.Robot(), slope))(drawn.slope)
+    assert 0.095 < np.abs(swung).max() <= 0.1
     known, _ = tuning.sample(replace(WIDE, known=True), js.Robot(), 5, seed=3)
     np.testing.assert_array_equal(known.robot.pendulum_mass, known.plant.pendulum_mass)
 

@@ -89,10 +89,10 @@ def test_the_best_feasible_start_wins():
     # No step is taken: the starts lie where they are drawn.
     settings = {"iterations": 1, "starts": 16, "bounds": {"c1": (0.3, 3.0)}}
     free, limited = quiet(Limited(0.0), **settings), quiet(Limited(1.8), **settings)
-    assert abs(np.log(free.gains.c1)) == np.min(np.abs(np.log(free.finals["c1"])))
+    assert abs(np.log(free.gains.c1)) == np.min(np.abs(np.log(free.answers["c1"])))
     assert limited.status == "finished"
-    assert limited.gains.c1 == np.min(limited.finals["c1"][limited.finals["c1"] >= 1.8 / 1.02])
-    np.testing.assert_array_equal(limited.feasible, limited.finals["c1"] >= 1.8 / 1.02)
+    assert limited.gains.c1 == np.min(limited.answers["c1"][limited.answers["c1"] >= 1.8 / 1.02])
+    np.testing.assert_array_equal(limited.feasible, limited.answers["c1"] >= 1.8 / 1.02)
     none = quiet(Limited(9.0), **settings)
     assert none.status == "infeasible"
     assert none.gains.c1 == free.gains.c1

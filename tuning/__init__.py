@@ -1,10 +1,10 @@
 """Gains by gradients through rollouts."""
 
 from tuning.certificate import Certificate, certify, clopper_pearson
-from tuning.following import FollowLine
+from tuning.following import SPATIAL_BOUNDS, FollowLine, LineTerms, LineWeights, friction_angle
 from tuning.health import audit_sign, check_gradient, lyapunov_exponent, stiff_and_sloppy
 from tuning.limits import Limits
-from tuning.objectives import BOUNDS, SEEKING_BOUNDS, RestToRest
+from tuning.objectives import BOUNDS, SEEKING_BOUNDS, RestToRest, Terms, Weights
 from tuning.optimisers import Optimiser, adam, cosine_decay
 from tuning.pareto import Front, hypervolume, non_dominated, pareto_front
 from tuning.result import TuningResult
@@ -13,7 +13,7 @@ from tuning.second_order import LeastSquares, Quadratic, lbfgs, levenberg_marqua
 from tuning.stability import hurwitz_margin
 from tuning.stages import Annealed
 from tuning.starts import latin_hypercube
-from tuning.terms import Term, Terms, Weights
+from tuning.terms import Term
 from tuning.transforms import FROZEN, POSITIVE, UNIT, Parametrisation, Transform, bounded, parametrise
 from tuning.tuner import tune, value_and_gradient
 
@@ -36,7 +36,11 @@ __all__ = [
     "BOUNDS",
     "SEEKING_BOUNDS",
     "FROZEN",
+    "SPATIAL_BOUNDS",
     "FollowLine",
+    "LineTerms",
+    "LineWeights",
+    "friction_angle",
     "POSITIVE",
     "UNIT",
     "LeastSquares",

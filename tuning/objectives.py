@@ -8,6 +8,7 @@ Every residual is smooth in the gains (a hinge only where its square is), so tha
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +24,7 @@ from jaxsphere.tasks.regulation import planar_plant, seen_with
 from tuning.diagnosis import first_not_finite
 from tuning.limits import Limits
 from tuning.stability import hurwitz_margins
-from tuning.terms import Term, Terms, Weights, is_off, linear_far_out, scalar_of
+from tuning.terms import Term, is_off, linear_far_out, require_terms, scalar_of
 
 Sums = tuple[Array, ...]
 
@@ -39,6 +40,34 @@ _SETTLING_WIDTH = 4e-3
 # Margins below these are penalised: of the divisor of (12) and of Routh's column.
 _LEAST_NONSINGULARITY = 0.2
 _LEAST_HURWITZ = 0.1
+
+
+class Weights(NamedTuple):
+    """Weights of the terms of `RestToRest`; zero switches a term off."""
+
+    tracking: Real = 1.0
+    swing: Real = 1.0
+    torque: Real = 1e-3
+    chatter: Real = 0.5
+    settling: Real = 0.0
+    overshoot: Real = 1.0
+    singularity: Real = 100.0
+    stability: Real = 100.0
+    prior: Real = 0.03
+
+
+class Terms(NamedTuple):
+    """The unweighted terms of one rollout; every entry a scalar (as residuals: vectors whose squares sum to it)."""
+
+    tracking: Array  # s^2: integral of t |e| / travel, |e| rounded off below 1e-3 of the travel
+    swing: Array  # s: integral of the excess of |phi - phi_0| over swing_limit in degrees, squared up to 1, linear beyond
+    torque: Array  # (N m)^2 s: integral of tau^2
+    chatter: Array  # (N m)^2: mean square of the torque step eta / decoupling that the hard sign switches by
+    settling: Array  # s: integral of a smooth step that is 1 outside the 2 % band and 0 inside
+    overshoot: Array  # s: integral of the excess of e over overshoot_limit in % of the travel, likewise
+    singularity: Array  # squared shortfall of the nonsingularity margin below 0.2, of 0.2
+    stability: Array  # sum of the squared shortfalls of the Hurwitz margins below 0.1, of 0.1
+    prior: Array  # sum of the squared logarithms of c1 ... k over those of `typical`: it decides what nothing else does
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +126,7 @@ class RestToRest:
         Raises:
             ValueError: there is no term with a weight, or a term of the user's own returns no scalar.
         """
-        self._require_terms()
+        require_terms(self.weights, self.extra)
         trajectory = self.rollout(gains)
         parts = self._unweighted(gains, trajectory)
         weighted = [jnp.sqrt(w) * part for w, part in zip(self.weights, parts, strict=True) if not is_off(w)]
@@ -120,7 +149,7 @@ class RestToRest:
         if self.extra:
             residuals = self.residuals(gains)
             return jnp.sum(residuals * residuals)
-        self._require_terms()
+        require_terms(self.weights, self.extra)
         return sum((w * t for w, t in zip(self.weights, self._streamed(gains), strict=True)), jnp.zeros(()))
 
     def limits(self, gains: js.SlidingModeGains) -> Limits:
@@ -143,7 +172,7 @@ class RestToRest:
 
     def check(self) -> None:
         """Raise ValueError when there is no term, or the slope is past the bound of the robot."""
-        self._require_terms()
+        require_terms(self.weights, self.extra)
         if is_concrete((self.robot, self.slope)):
             js.require_holdable(self.robot, self.slope)
 
@@ -160,12 +189,6 @@ class RestToRest:
         end = trajectory.time == trajectory.time[-1]
         own = {term.name: jnp.where(end, scalar_of(term, trajectory), 0.0) for term in self.extra}
         return trajectory.time, state | {f"term {name}": part for name, part in (parts | own).items()}, still
-
-    def _require_terms(self) -> None:
-        if not self.extra and all(is_off(weight) for weight in self.weights):
-            raise ValueError(
-                "weights leaves the objective without terms; type a positive one, e.g. tuning.Weights(tracking=1.0)"
-            )
 
     def _unweighted(self, gains: js.SlidingModeGains, trajectory: js.Trajectory) -> Terms:
         time = trajectory.time

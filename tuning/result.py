@@ -24,8 +24,8 @@ class TuningResult:
     gains: the best gains seen in any start; objective: their value. initial_gains, initial_objective: where it began.
     history: "objective" and "gradient_norm", each (iterations, starts). status: "finished", "interrupted" (by Ctrl-C) or
     "infeasible" (no start keeps the hard limits). names: the free gains. evaluations: rollouts with gradient.
-    bests: best objective of every start (starts,), NaN where it never was finite. finals: the gains of every start there,
-    name -> (starts,). feasible: which of them keep the limits. limits: what the best gains break, as text.
+    bests: best objective of every start (starts,), NaN where it never was finite. answers: the gains of every start there,
+    frozen ones too, name -> (starts,). feasible: which of them keep the limits. limits: what the best gains break, as text.
     """
 
     gains: Any
@@ -38,7 +38,7 @@ class TuningResult:
     evaluations: int
     optimiser: str
     bests: np.ndarray
-    finals: dict[str, np.ndarray]
+    answers: dict[str, np.ndarray]
     feasible: np.ndarray
     limits: str = ""
 
@@ -88,7 +88,7 @@ class TuningResult:
             arrays = {name: np.array(rows, dtype=np.float64).reshape(len(rows), -1) for name, rows in history.items()}
             content |= {"names": tuple(content["names"]), "feasible": np.array(content["feasible"], dtype=bool)}
             content |= {"bests": np.array(content["bests"], dtype=np.float64)}
-            content |= {"finals": {name: np.array(row, dtype=np.float64) for name, row in content["finals"].items()}}
+            content |= {"answers": {name: np.array(row, dtype=np.float64) for name, row in content["answers"].items()}}
             return cls(history=arrays, **content)
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise ValueError(

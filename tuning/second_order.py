@@ -6,6 +6,7 @@ tries points of its own. A trial whose value or derivatives are not finite is re
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from itertools import pairwise
 from typing import NamedTuple
@@ -219,17 +220,26 @@ def _two_loops(gradient: Array, moves: Array, changes: Array) -> Array:
     return -r
 
 
-def linearise(residuals: Callable[[Array], Array], vector: Array) -> LeastSquares:
-    """Sum of the squares of `residuals(vector) -> (m,)` with its Jacobian by forward mode."""
+def linearise(residuals: Callable[[Array], Array], vector: Array, steepest: float = math.inf) -> LeastSquares:
+    """Sum of the squares of `residuals(vector) -> (m,)` with its Jacobian by forward mode.
+
+    steepest: cap on the slope of each residual, relative to its size or to the root mean square of all, whichever is larger.
+    A residual that is steeper says nothing at the distance of a step: chaos would drown what the others say. Gradient and
+    Jacobian are those of the capped slopes, the value is exact.
+    """
 
     def push(direction: Array) -> tuple[Array, Array]:
         return jax.jvp(residuals, (vector,), (direction,))
 
     r, jacobian = jax.vmap(push, out_axes=(None, 0))(jnp.eye(vector.shape[0], dtype=vector.dtype))
+    if steepest < math.inf:
+        most = steepest * jnp.maximum(jnp.abs(r), jnp.sqrt(jnp.mean(r * r)))
+        slope = jnp.sqrt(jnp.sum(jacobian * jacobian, axis=0))
+        jacobian = jacobian * jnp.where(slope > most, most / jnp.where(slope > most, slope, 1.0), 1.0)[None, :]
     return LeastSquares(jnp.sum(r * r), 2.0 * jacobian @ r, r, jacobian, residuals)
 
 
-def quadratic(residuals: Callable[[Array], Array], vector: Array) -> Quadratic:
-    """Value, gradient and Gauss-Newton Hessian of the sum of squares of `residuals(vector) -> (m,)`."""
-    seen = linearise(residuals, vector)
+def quadratic(residuals: Callable[[Array], Array], vector: Array, steepest: float = math.inf) -> Quadratic:
+    """Value, gradient and Gauss-Newton Hessian of the sum of squares of `residuals(vector) -> (m,)`; see `linearise`."""
+    seen = linearise(residuals, vector, steepest)
     return Quadratic(seen.value, seen.gradient, 2.0 * seen.jacobian @ seen.jacobian.T)

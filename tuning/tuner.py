@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -83,8 +84,9 @@ def tune(
         stages share the iterations. Its `limits(gains)`, where it has them, decide which starts ended feasible; the best of
         those wins. initial_gains: the first start.
         optimiser: "adam", "lbfgs", "lm" (Levenberg-Marquardt; the objective then needs `residuals(gains) -> (m,)`, whose
-        squares sum to it) or a pair (init, update). iterations: per start, one rollout with gradient each; 150, 60 or 35 by
-        default. learning_rate: of Adam in the free coordinates (about relative change per step), decaying along a cosine.
+        squares sum to it, and may have `steepest`, see `linearise`) or a pair (init, update).
+        iterations: per start, one rollout with gradient each; 150, 60 or 35 by default. learning_rate: of Adam in the free
+        coordinates (about relative change per step), decaying along a cosine.
         starts: how many, by Latin hypercube, all but the first: over `bounds` (name -> lowest and highest value, kept by
         construction) for the gains that have them all, otherwise normal around the first with the standard deviation
         `spread` in free coordinates, from `seed`. frozen: gains to keep. transforms: see `parametrise`.
@@ -176,16 +178,16 @@ def tune(
             status = "interrupted"
             if not history["objective"].size:
                 raise
-    finals = jax.vmap(chosen.to_gains)(batch.best_vector)
+    answers = jax.vmap(chosen.to_gains)(batch.best_vector)
     bests = np.asarray(batch.best)
     judge = getattr(at(stages - 1), "limits", None)
-    limits = None if judge is None else jax.tree.map(np.asarray, over_lanes(judge)(finals))
+    limits = None if judge is None else jax.tree.map(np.asarray, over_lanes(judge)(answers))
     feasible = np.ones(starts, bool) if limits is None else np.asarray(limits.feasible)
     if status == "finished" and not feasible.any():
         status = "infeasible"
     winner = int(np.nanargmin(np.where(feasible | ~feasible.any(), bests, np.inf)))
     return TuningResult(
-        gains=jax.tree.map(lambda leaf: float(leaf[winner]), finals),
+        gains=jax.tree.map(lambda leaf: float(leaf[winner]), answers),
         objective=float(bests[winner]),
         initial_gains=jax.tree.map(float, initial_gains),
         initial_objective=float(history["objective"][0, 0] if stages == 1 else jax.jit(at(stages - 1))(initial_gains)),
@@ -195,7 +197,7 @@ def tune(
         evaluations=int(history["objective"].size),
         optimiser=label,
         bests=np.where(np.isfinite(bests), bests, np.nan),
-        finals={name: np.asarray(getattr(finals, name)) for name in chosen.names},
+        answers={name: np.broadcast_to(np.asarray(value, float), (starts,)) for name, value in vars(answers).items()},
         feasible=feasible,
         limits="" if limits is None else jax.tree.map(lambda leaf: leaf[winner], limits).sentence(),
     )
@@ -214,7 +216,8 @@ def _evaluator(objective: Objective, chosen: Parametrisation, gradient: str, nee
     residuals = getattr(objective, "residuals", None)
     if residuals is None:
         raise ValueError("optimiser = 'lm' needs residuals, which this objective has not; type optimiser='lbfgs' or 'adam'")
-    return lambda vector: linearise(lambda free: residuals(chosen.to_gains(free)), vector)
+    steepest = getattr(objective, "steepest", math.inf)
+    return lambda vector: linearise(lambda free: residuals(chosen.to_gains(free)), vector, steepest)
 
 
 def _not_finite(objective: Objective, gains: Any, history: dict[str, np.ndarray]) -> str:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 import jaxsphere as js
+from experiments import lines
 from jaxsphere.checks import require_choice, require_scalar
 
 
@@ -86,25 +87,39 @@ class TrackTuningOptions:
 
     slope_deg: float = 10.0
     """Slope in degrees."""
-    speeds: tuple[float, ...] = (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
-    """Of the lines, m/s, one rollout each."""
-    duration: float = 6.0
+    speeds: tuple[float, ...] = lines.TRAINING_SPEEDS
+    """Of the lines tuned on, m/s, one rollout each."""
+    validation_speeds: tuple[float, ...] = lines.VALIDATION_SPEEDS
+    """Speeds that choose among the answers of the starts, m/s."""
+    held_out_speeds: tuple[float, ...] = lines.HELD_OUT_SPEEDS
+    """Speeds that neither the search nor the choice sees, m/s."""
+    duration: float = 4.0
     """Horizon of the tuning rollouts, s; errors depend chaotically on the gains over much longer ones."""
     dt: float = 4e-3
     """Time step and control period of the tuning rollouts, s."""
     torque_limit: float = 5.0
     """N m"""
-    iterations: int = 40
+    lean_limit_deg: float = 43.0
+    """Lean of the spin axis that is penalised beyond, degrees."""
+    friction_limit: float = 0.5
+    """Coefficient of friction that rolling may need; more is penalised."""
+    optimiser: str = "lm"
+    """lm (Levenberg-Marquardt), lbfgs or adam."""
+    iterations: int = 20
     """Steps per start."""
-    starts: int = 12
+    starts: int = 16
     """Starts, all optimised at once."""
     learning_rate: float = 0.05
     """Of Adam, in logarithmic gains."""
     seed: int = 0
     """Of the starts."""
     gradient: str = "forward"
-    """forward or reverse."""
-    frozen: tuple[str, ...] = ("k_p", "k_d", "a_max")
-    """Gains to keep; --frozen with no names tunes all."""
+    """forward or reverse, for lbfgs and adam."""
+    checkpoint: str | None = None
+    """File, written between chunks of iterations, e.g. out/tuning.npz."""
+    resume: bool = False
+    """Continue from the checkpoint."""
+    frozen: tuple[str, ...] = ()
+    """Gains to keep, e.g. --frozen k_p k_d a_max"""
     progress: bool = True
     """Show a progress bar."""

@@ -1,0 +1,198 @@
+"""Following lines as an objective: its terms recomputed, residuals and streamed sum, gradients, early ends, the search."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxsphere as js
+import tuning
+from jaxsphere.models import contact
+from jaxsphere.models.contact import Contact
+
+EVERY = tuning.LineWeights(*(0.5 + i for i in range(len(tuning.LineWeights._fields))))
+# Limits low enough that every term but `lost` is at work.
+SHORT = tuning.FollowLine(
+    speeds=(0.3, 0.6),
+    duration=0.96,
+    dt=8e-3,
+    sample_every=3,
+    settled_after=0.25,
+    weights=EVERY,
+    lean_limit=0.05,
+    friction_limit=0.05,
+)
+GAINS = js.TrackingGains(k1=60.0, k_p=700.0, a_max=1.5)
+# Compiling takes longer than running.
+FAST = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+
+
+def compiled(function):
+    """Compile in a hurry."""
+    return jax.jit(function, compiler_options=FAST)
+
+
+@pytest.fixture(scope="module")
+def evaluated():
+    """(gains, slope, plant) -> objective and terms of the short task, compiled once."""
+
+    def at(gains, slope, plant):
+        there = replace(SHORT, slope=slope, plant=plant)
+        return there(gains), there.terms(gains)
+
+    run = compiled(at)
+    return lambda gains, slope, plant=js.Robot(): run(gains, slope, plant)
+
+
+CHOSEN = tuning.parametrise(GAINS, transforms={name: tuning.bounded(*ends) for name, ends in tuning.SPATIAL_BOUNDS.items()})
+
+
+@pytest.fixture(scope="module")
+def expanded():
+    """Free vectors (4, 7) -> `Quadratic` of the residuals, compiled once."""
+
+    def at(vector):
+        return tuning.quadratic(lambda free: SHORT.residuals(CHOSEN.to_gains(free)), vector)
+
+    return compiled(jax.vmap(at))
+
+
+def test_terms_equal_those_of_the_saved_rollouts(evaluated, slope):
+    terms = evaluated(GAINS, slope)[1]
+    expected = {name: [] for name in tuning.LineTerms._fields[:5]}
+    for speed in SHORT.speeds:
+        found = js.track_line(
+            js.Robot(), slope, GAINS, speed, duration=0.96, dt=8e-3, control_period=8e-3, torque_limit=5.0, diagnostics=True
+        )
+        looks = np.arange(0, 120, 3)
+        time, state, torque = (np.asarray(x)[looks] for x in (found.time, found.state, found.torque))
+        square = 1e4 * np.sum((state[:, :2] - speed * np.sqrt(0.5) * time[:, None]) ** 2, axis=1)
+        lean = np.maximum(np.rad2deg(np.abs(state[:, 3] - 0.5 * np.pi) - 0.05), 0.0)
+        steeper = np.arctan(np.asarray(found.diagnostics.contact.friction_coefficient)[looks]) - np.arctan(0.05)
+        slip = np.maximum(np.rad2deg(steeper), 0.0)
+        expected["distance"].append(square.mean())
+        expected["late"].append(square[time >= 0.25].mean())
+        expected["lean"].append(np.mean(2.0 * (np.sqrt(1.0 + lean**2) - 1.0)))
+        expected["friction"].append(np.mean(2.0 * (np.sqrt(1.0 + slip**2) - 1.0)))
+        expected["effort"].append(np.mean(np.sum(torque**2, axis=1)))
+    for name, values in expected.items():
+        assert np.mean(values) > 0.0
+        assert getattr(terms, name) == pytest.approx(np.mean(values), rel=1e-9), name  # another program
+    assert terms.lost == 0.0
+    assert terms.prior == pytest.approx(np.log(60 / 49) ** 2 + np.log(7 / 9) ** 2 + np.log(1.5) ** 2)
+
+
+@pytest.mark.parametrize("slope", [0.17, 0.4], ids=["follows", "past the bound"])
+def test_objective_is_the_weighted_sum_of_its_terms(evaluated, slope):
+    value, terms = evaluated(GAINS, slope)
+    expected = sum(w * float(t) for w, t in zip(EVERY, terms, strict=True))
+    assert value == pytest.approx(expected, rel=1e-9)  # the first sums inside the rollout, the second over what it saved
+    assert terms.lost == pytest.approx(0.0 if slope == 0.17 else 1.0)
+
+
+def test_a_lane_that_ends_early_keeps_its_error_and_pays_for_the_rest(evaluated):
+    wild = js.TrackingGains(k1=121.3, k2=2.1, k3=211.6, k4=1.2, k_p=1243.1, k_d=53.8, a_max=2.4)
+    value, terms = evaluated(wild, 0.04)
+    expected = sum(w * float(t) for w, t in zip(EVERY, terms, strict=True))
+    assert value == pytest.approx(expected, rel=1e-6)  # wild gains blow rounding up
+    task = {"duration": 0.96, "dt": 8e-3, "control_period": 8e-3, "save_every": 3, "throw": False}
+    time = np.arange(0, 120, 3) * 8e-3
+    lost, distance = [], []
+    for speed, early in zip(SHORT.speeds, (True, False), strict=True):
+        found = js.track_line(js.Robot(), 0.04, wild, speed, **task)
+        end = float(found.end_time)
+        assert (int(found.status) == js.Status.SINGULAR_COORDINATES) == (0.2 < end < 0.8) == early
+        error = np.asarray(found.state)[:-1, :2] - speed * np.sqrt(0.5) * np.minimum(time, end)[:, None]
+        lost.append(np.mean(time > end - 4e-3))
+        distance.append(1e4 * np.mean(np.sum(error**2, axis=1)))
+    assert terms.lost == pytest.approx(np.mean(lost))
+    assert terms.distance == pytest.approx(np.mean(distance), rel=1e-6)
+
+
+def test_squared_residuals_sum_to_the_objective_and_the_three_gradients_agree(evaluated, expanded, slope):
+    vector = CHOSEN.to_vector(GAINS)
+    seen = expanded(jnp.broadcast_to(vector, (4, 7)))
+    assert seen.value[0] == pytest.approx(float(evaluated(GAINS, slope)[0]), rel=1e-9)
+    forward = np.asarray(seen.gradient[0])
+    reverse = compiled(jax.grad(lambda free: SHORT(CHOSEN.to_gains(free))))(vector)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-8, atol=1e-9 * np.abs(forward).max())
+    ends = [[evaluated(CHOSEN.to_gains(vector + sign * step), slope)[0] for sign in (1, -1)] for step in 1e-5 * np.eye(7)]
+    differences = [float(up - down) / 2e-5 for up, down in ends]
+    np.testing.assert_allclose(forward, differences, rtol=1e-4, atol=1e-5 * np.abs(forward).max())
+    assert np.all(forward != 0.0)
+
+
+def test_friction_angle_is_the_arctangent_of_the_coefficient_and_smooth_beyond(slope):
+    found = SHORT.rollout(GAINS, 0.6)
+    for state, torque in zip(found.state[:-1:5], found.torque[:-1:5], strict=True):
+        forces = contact.contact(js.Robot(), slope, tuple(state), tuple(torque))
+        assert np.tan(tuning.friction_angle(forces)) == pytest.approx(float(forces.friction_coefficient), rel=1e-12)
+
+    def angle(normal):
+        return tuning.friction_angle(Contact(normal, (jnp.asarray(3.0), jnp.asarray(4.0)), jnp.zeros(())))
+
+    assert angle(jnp.asarray(0.0)) == pytest.approx(0.5 * np.pi)
+    assert jax.grad(angle)(0.0) == pytest.approx(-0.2)
+    assert angle(jnp.asarray(-5.0)) == pytest.approx(0.75 * np.pi)  # the sphere would leave the slope
+    still = jax.grad(lambda force: tuning.friction_angle(Contact(jnp.ones(()), (force, force), jnp.zeros(()))))
+    assert still(0.0) == 0.0
+
+
+def test_the_plants_friction_and_motion_are_the_true_robots(evaluated, slope):
+    value, terms = evaluated(GAINS, slope, replace(js.Robot(), pendulum_mass=2.5))
+    assert value == pytest.approx(sum(w * float(t) for w, t in zip(EVERY, terms, strict=True)), rel=1e-9)
+    for name in ("distance", "friction"):
+        assert abs(float(getattr(terms, name)) / float(getattr(evaluated(GAINS, slope)[1], name)) - 1.0) > 1e-3
+
+
+def test_own_term_adds_its_weighted_mean_square_over_the_speeds():
+    peak = tuning.Term("peak spin", lambda trajectory: jnp.max(jnp.abs(trajectory.state[:, 9])), weight=0.25)
+    objective = replace(SHORT, weights=tuning.LineWeights(*(0.0,) * 6, 1.0), extra=(peak,))
+    peaks = [float(jnp.max(jnp.abs(SHORT.rollout(GAINS, speed).state[:, 9]))) for speed in SHORT.speeds]
+    prior = float(jnp.sum(objective._prior(GAINS) ** 2))
+    assert compiled(objective)(GAINS) == pytest.approx(prior + 0.25 * np.mean(np.square(peaks)), rel=1e-9)
+
+
+def test_levenberg_marquardt_lowers_the_objective_from_every_start(expanded, key):
+    rule = tuning.levenberg_marquardt()
+    vectors = jnp.arcsin(1.8 * tuning.latin_hypercube(key, 4, 7) - 0.9)
+    state, update = jax.vmap(rule.init)(vectors), jax.jit(jax.vmap(rule.update))
+    values = []
+    for _ in range(8):
+        seen = expanded(vectors)
+        values.append(seen.value)
+        vectors, state = update(seen, state, vectors)
+    assert np.all(np.isfinite(values))
+    assert np.all(np.min(values, axis=0) < 0.99 * values[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"speeds": ()}, r"speeds = \(\) leaves nothing to follow; type at least one speed"),
+        ({"speeds": (0.3, np.nan)}, "speeds = nan m/s is not admissible"),
+        ({"starts": (0.3, 0.1)}, r"starts = \(0\.3, 0\.1\) are no positions; type pairs"),
+        ({"settled_after": 0.96}, r"settled_after = 0\.96 s is not admissible; type a number at least 0 and below 0\.96"),
+        ({"sample_every": 7}, "save_every = 7 must be None or a whole number that divides the 120 steps"),
+        ({"sample_every": 0}, "sample_every = 0 is not admissible"),
+        ({"friction_limit": -0.1}, r"friction_limit = -0\.1 is not admissible"),
+        ({"lean_limit": 90.0}, "lean_limit = 90 rad is not admissible"),
+        ({"steepest": 0.0}, r"steepest = 0\.0 is not admissible"),
+        ({"weights": tuning.LineWeights(lean=-1.0)}, r"weights\.lean = -1 is not admissible"),
+        ({"weights": tuning.LineWeights(*(0.0,) * 7)}, r"type a positive one, e\.g\. tuning\.LineWeights\(distance=1\.0\)"),
+        ({"extra": (tuning.Term("path", lambda trajectory: trajectory.state[:, 0]),)}, "term 'path' returns shape"),
+    ],
+)  # fmt: skip
+def test_faults_get_one_sentence(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(SHORT, **change)(GAINS)
+
+
+def test_what_is_not_finite_is_named_with_lane_and_time():
+    broken = replace(SHORT, friction_limit=np.nan)
+    assert "0.3 m/s from (0.3, 0.1) m: friction is not finite at 0 s" in broken.explain(GAINS)
+    far = replace(SHORT, starts=((np.inf, 0.0),))
+    assert "0.3 m/s from (inf, 0.0) m: distance is not finite at 0 s" in far.explain(GAINS)
+    assert "every rollout is finite" in SHORT.explain(GAINS)
