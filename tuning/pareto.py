@@ -21,6 +21,9 @@ from tuning.transforms import bounded, parametrise
 NAMES = ("settling time, s", "peak swing about equilibrium, rad", "effort, (N m)^2 s")
 
 
+NEAR, SPREAD = 10, 0.7
+
+
 class Front(NamedTuple):
     """Gains (every leaf (points,)) that no other found gains beat in all three figures (points, 3), by settling time."""
 
@@ -36,13 +39,17 @@ def pareto_front(
     initial_gains: js.SlidingModeGains,
     *,
     points: int = 96,
-    iterations: int = 16,
+    iterations: int = 8,
+    rounds: int = 25,
     swing: tuple[float, float] = (0.01, 0.7),
     effort: tuple[float, float] = (1e-4, 0.3),
     bounds: dict[str, tuple[float, float]] | None = None,
     seed: int = 0,
 ) -> Front:
-    """Tune `points` weightings at once by Levenberg-Marquardt and keep what none of the gains on the way dominates.
+    """Tune `points` weightings at once by Levenberg-Marquardt, fill in between them, and keep what nothing else dominates.
+
+    The best compromises between three figures are a surface in the space of the gains. Each of `rounds` tries 5 `points` more
+    on the planes through neighbours of the front so far, beyond its edge too, by their figures alone.
 
     A weighting has its own swing limit (rad, between the two of `swing`) and its own weight of the torque (between the two
     of `effort`), both even in the logarithm. The figures are scored with the hard sign, a 1 kHz hold and the motor's limit.
@@ -73,21 +80,55 @@ def pareto_front(
 
         return jax.lax.scan(iterate, (vector, rule.init(vector)), None, length=iterations)[1]
 
-    def score(vector: Array) -> tuple[js.SlidingModeGains, Array]:
-        gains = jax.tree.map(jnp.asarray, chosen.to_gains(vector))
-        return gains, figures(objective, gains)
-
+    score = over_lanes(lambda vector: figures(objective, jax.tree.map(jnp.asarray, chosen.to_gains(vector))))
     vectors = drawn.across(jax.random.key(seed + 1), chosen.to_vector(initial_gains), points)
-    found = over_lanes(search)(vectors, swings, efforts)
     # What a weighting passes on its way may be as good a compromise as where it ends.
-    passed = jnp.reshape(found, (points * iterations, len(chosen.names)))
-    gains, scores = jax.tree.map(np.asarray, over_lanes(score)(passed))
-    keep = non_dominated(scores)
-    if not keep.any():
+    passed = jnp.reshape(over_lanes(search)(vectors, swings, efforts), (points * iterations, len(chosen.names)))
+    nothing = _Scored(np.zeros((0, len(chosen.names))), np.zeros((0, len(NAMES))))
+    front = nothing.joined(_Scored(np.asarray(passed), np.asarray(score(passed))))
+    if not len(front.vectors):
         raise ValueError("none of the tuned gains settles within duration; type a longer duration or other bounds")
-    order = np.flatnonzero(keep)[np.argsort(scores[keep, 0])]
-    plain = points * iterations * (rule.plain_rollouts(len(chosen.names)) + 1)
-    return Front(jax.tree.map(lambda leaf: leaf[order], gains), scores[order], len(scores), points * iterations, plain)
+    for key in jax.random.split(jax.random.key(seed + 2), rounds):
+        trials = _among_neighbours(key, front, 5 * points)
+        front = front.joined(_Scored(trials, np.asarray(score(jnp.asarray(trials)))))
+    order = np.argsort(front.figures[:, 0])
+    tried = points * (iterations + 5 * rounds)
+    return Front(
+        gains=jax.tree.map(np.asarray, jax.vmap(chosen.to_gains)(jnp.asarray(front.vectors[order]))),
+        figures=front.figures[order],
+        tried=tried,
+        rollouts=points * iterations,
+        plain_rollouts=points * iterations * rule.plain_rollouts(len(chosen.names)) + tried,
+    )
+
+
+class _Scored(NamedTuple):
+    vectors: np.ndarray
+    figures: np.ndarray
+
+    def joined(self, other: _Scored) -> _Scored:
+        """The front of both; this one is a front already."""
+        new = non_dominated(other.figures)
+        vectors, figures = other.vectors[new], other.figures[new]
+        here, there = ~_dominated(self.figures, figures), ~_dominated(figures, self.figures)
+        return _Scored(
+            np.concatenate([self.vectors[here], vectors[there]]), np.concatenate([self.figures[here], figures[there]])
+        )
+
+
+def _among_neighbours(key: Array, front: _Scored, count: int) -> np.ndarray:
+    """Draw vectors (count, n) on planes through a point of the front and two others, which its nearest tenth holds."""
+    keys = jax.random.split(key, 3)
+    size = len(front.vectors)
+    near = min(size, max(8, size // NEAR))
+    at = np.asarray(jax.random.randint(keys[0], (count,), 0, size))
+    scaled = front.figures / np.maximum(np.ptp(front.figures, axis=0), 1e-300)
+    distance = np.sum((scaled[at][:, None] - scaled[None]) ** 2, axis=-1)
+    nearest = np.argpartition(distance, near - 1, axis=1)[:, :near]
+    picked = np.asarray(jax.random.randint(keys[1], (2, count), 0, near))
+    share = SPREAD * np.asarray(jax.random.normal(keys[2], (2, count, 1)))
+    neighbours = front.vectors[nearest[np.arange(count), picked]]
+    return front.vectors[at] + np.sum(share * (neighbours - front.vectors[at]), axis=0)
 
 
 def figures(objective: RestToRest, gains: js.SlidingModeGains) -> Array:
@@ -101,9 +142,14 @@ def figures(objective: RestToRest, gains: js.SlidingModeGains) -> Array:
 
 def non_dominated(points: np.ndarray) -> np.ndarray:
     """Mask (n,) of the finite points (n, d) that no other point beats or equals everywhere and beats somewhere."""
-    no_worse = np.all(points[:, None] <= points[None], axis=-1)
-    better = np.any(points[:, None] < points[None], axis=-1)
-    return ~np.any(no_worse & better, axis=0) & np.all(np.isfinite(points), axis=1)
+    return ~_dominated(points, points) & np.all(np.isfinite(points), axis=1)
+
+
+def _dominated(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the points (n, d) that one of the others (m, d) beats or equals everywhere and beats somewhere."""
+    no_worse = np.all(others[:, None] <= points[None], axis=-1)
+    better = np.any(others[:, None] < points[None], axis=-1)
+    return np.any(no_worse & better, axis=0)
 
 
 def hypervolume(points: np.ndarray, reference: np.ndarray) -> float:
