@@ -13,6 +13,7 @@ import numpy as np
 
 import jaxsphere as js
 from experiments import plotting
+from experiments.benchmark_sweep import sweep_case
 from experiments.benchmark_tuning import tuning_case
 from experiments.records import Record
 from jaxsphere.models import climbing, planar
@@ -146,4 +147,9 @@ def _seconds(run: Callable[[], Any]) -> float:
 
 
 # What to run, and how many lanes by default (for tuning: how many rollouts each of scipy's optimisers may use).
-CASES = {"planar": (planar_case, 8192), "spatial": (spatial_case, 1024), "tuning": (tuning_case, 1200)}
+CASES = {
+    "planar": (planar_case, 8192),
+    "spatial": (spatial_case, 1024),
+    "tuning": (tuning_case, 1200),
+    "sweep": (sweep_case, 65536),
+}

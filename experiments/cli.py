@@ -108,9 +108,10 @@ class Bench:
     """Measure speed against peers in the same run."""
 
     case: str = "planar"
-    """What to measure: planar, spatial or tuning."""
+    """What to measure: planar, spatial, tuning or sweep."""
     lanes: int | None = None
-    """Rollouts in the batch, 8192 planar or 1024 spatial ones by default; for tuning, of each of scipy's optimisers, 1200."""
+    """Rollouts in the batch, by default 8192 planar, 1024 spatial or 65536 swept ones; for tuning, of each of scipy's
+    optimisers, 1200."""
     steps: int = 1000
     """Steps of each rollout."""
     out: str = "out"

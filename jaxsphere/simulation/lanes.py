@@ -58,9 +58,7 @@ def over_lanes(function: Callable[..., Any], block: int = BLOCK) -> Callable[...
     return call
 
 
-def same_bits(
-    function: Callable[..., Any], block: int, devices: Sequence[jax.Device] | None = None
-) -> Callable[..., list[Any]]:
+def same_bits(function: Callable[..., Any], block: int, devices: Sequence[Any] | None = None) -> Callable[..., list[Any]]:
     """Like `jax.vmap(function)`, but no bit of a lane's result depends on how many lanes or devices there are.
 
     Every device runs one and the same program of `block` lanes. `over_lanes` cannot promise that: a program of several
@@ -78,12 +76,11 @@ def same_bits(
     devices = jax.local_devices() if devices is None else devices
     options = _CPU_OPTIONS if devices[0].platform == "cpu" else None
     program = jax.jit(jax.vmap(function), compiler_options=options)
-    compiled: dict[jax.Device, Any] = {}
+    compiled: dict[Any, Any] = {}
 
     def call(*arguments: Any) -> list[Any]:
         lanes = _lane_count(arguments)
-        starts = range(0, lanes, block)
-        parts = [jax.tree.map(lambda leaf: _host_block(leaf, start, block), arguments) for start in starts]
+        parts = [jax.tree.map(partial(_host_block, start, block), arguments) for start in range(0, lanes, block)]
         used = devices[: len(parts)]
         missing = [device for device in used if device not in compiled]
         if missing:
@@ -95,12 +92,12 @@ def same_bits(
     return call
 
 
-def _host_block(leaf: Any, start: int, block: int) -> np.ndarray:
+def _host_block(start: int, block: int, leaf: Any) -> np.ndarray:
     part = np.asarray(leaf[start : start + block])
     return part if len(part) == block else np.concatenate([part, np.repeat(part[-1:], block - len(part), axis=0)])
 
 
-def _shapes(arguments: Any, device: jax.Device) -> Any:
+def _shapes(arguments: Any, device: Any) -> Any:
     sharding = jax.sharding.SingleDeviceSharding(device)
     return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), arguments)
 
