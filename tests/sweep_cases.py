@@ -3,6 +3,8 @@
 import hashlib
 import sys
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 import jaxsphere as js
@@ -43,12 +45,31 @@ def digest(results):
     return total.hexdigest()
 
 
+def swing(stiffness, angle, damping=0.5):
+    """A pendulum held by a spring and a damper, 60 steps: the cheapest closed loop there is."""
+    plant = js.Plant(lambda x, u: (x[1], u[0] - 9.81 * js.numerics.sincos(x[0])[0]), _fate, (False, True))
+    start = (angle, 0.0 * angle)
+    return js.rollout(plant, _hold(stiffness, damping), start, dt=0.01 + 0.0 * angle, steps=60, save_every=None)
+
+
+def _fate(x):
+    return jnp.where(abs(x[0]) > 2.0, js.Status.WHIRLING, js.Status.OK)
+
+
+def _hold(stiffness, damping):
+    return lambda time, x, memory: js.Command((-stiffness * x[0] - damping * x[1],), (), jnp.int32(0))
+
+
+def swings(count=40, **options):
+    """Sweep of `swing` over 50 lanes a stiffness; some swing too far. 2000 lanes in four chunks of 512 by default."""
+    axes = [js.axes.linear("stiffness", -30.0, 10.0, count), js.axes.uniform({"angle": (0.0, 1.0)}, 50, seed=3)]
+    return js.sweep(swing, {"damping": 0.4}, axes, **{"chunk": 512} | options)
+
+
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        import jax
-
         rank, port = sys.argv[1:3]
         jax.distributed.initialize(f"127.0.0.1:{port}", num_processes=2, process_id=int(rank))
         assert jax.process_count() == 2
-    results = climbs(chunk=512, store=sys.argv[3] if len(sys.argv) > 3 else None)
-    print(digest(results), sum(results.counts().values()))
+    found = climbs(chunk=512, store=sys.argv[3] if len(sys.argv) > 3 else None)
+    print(digest(found), sum(found.counts().values()), jax.device_count())
