@@ -12,7 +12,7 @@ import tyro
 from experiments.options.planar import MotionOptions, SlidingModeOptions, TuningOptions
 from experiments.options.robot import RobotOptions
 from experiments.options.spatial import TrackingGainOptions, TrackOptions, TrackTuningOptions
-from jaxsphere import RolloutError
+from jaxsphere import RolloutError, SweepError
 from jaxsphere.simulation.lanes import use_all_cores
 
 
@@ -104,6 +104,25 @@ class TuneSpatial:
 
 
 @dataclass
+class Sweep:
+    """Sweep a task over named axes, in chunks on all devices; what is done outlives a crash."""
+
+    spec: tyro.conf.Positional[str]
+    """TOML file with the task, its settings and the axes, e.g. experiments/specs/sweep.toml."""
+    out: str = "out"
+    """Folder for the picture, metrics.json, manifest.json and the lanes in store/."""
+    resume: bool = False
+    """Finish the sweep that OUT/store holds."""
+    progress: bool = True
+    """Show a progress bar."""
+
+    def run(self) -> None:
+        from experiments.commands import sweep
+
+        sweep.sweep(self)
+
+
+@dataclass
 class Bench:
     """Measure speed against peers in the same run."""
 
@@ -129,6 +148,7 @@ COMMANDS: dict[str, type] = {
     "simulate spatial": SimulateSpatial,
     "tune planar": TunePlanar,
     "tune spatial": TuneSpatial,
+    "sweep": Sweep,
     "bench": Bench,
 }
 
@@ -144,14 +164,14 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         command.run()
         sys.stdout.flush()
-    except (ValueError, RolloutError) as error:
+    except (ValueError, RolloutError, SweepError) as error:
         print(f"jaxsphere {name}: {error}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader of stdout, e.g. head, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    except KeyboardInterrupt:
-        print(f"jaxsphere {name}: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as error:
+        print(f"jaxsphere {name}: {error or 'interrupted'}", file=sys.stderr)
         return 130
     return 0
 

@@ -28,6 +28,9 @@ UNITS = {
     **dict.fromkeys(("c1", "c2", "k", "k2", "k4", "k_d"), "1/s"),
     **dict.fromkeys(("k1", "k3", "k_p"), "1/s2"),
     **dict.fromkeys(("phi_z", "k_i", "smoothing"), "rad/s"),
+    **dict.fromkeys(("settling_time", "end_time"), "s"),
+    **dict.fromkeys(("peak_swing", "lowest_swing", "highest_swing", "peak_lean"), "rad"),
+    **{"peak_torque": "N m", "chatter": "N m", "effort": "(N m)2 s", "rms_error": "m", "late_error": "m", "tracking": "s2"},
     **{"eta": "rad/s2", "gravity": "m/s2", "a_max": "m/s2", "speed": "m/s", "torque_limit": "N m", "settled_after": "s"},
 }
 Ends = tuple[float, float]
@@ -173,6 +176,11 @@ def coordinate(axes: Sequence[Axis], column: Column) -> np.ndarray:
     return _KINDS[column.kind].values(column, positions, positions)
 
 
+def unit_of(name: str) -> str:
+    """Unit of a leaf or an output by the last word of its name, "" where the name does not tell."""
+    return UNITS.get(next((part for part in reversed(name.split(".")) if not part.isdigit()), name), "")
+
+
 def differs_by_lane(column: Column) -> bool:
     """Tell whether every lane has a value of its own, whatever its position along the axis."""
     return _KINDS[column.kind].by_lane
@@ -222,8 +230,8 @@ def _drawn(name: str, kind: str, numbers: Mapping[str, Any], count: int, seed: i
     if not numbers:
         raise ValueError(f"axis {name!r} varies no leaf; type e.g. {{'robot.pendulum_mass': (1.8, 2.2)}}")
     require_count(f"count of axis {name!r}", count)
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(f"seed = {seed!r} of axis {name!r} is not admissible; type a whole number of at least 0")
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < 2**64:
+        raise ValueError(f"seed = {seed!r} of axis {name!r} is not admissible; type a whole number from 0 to 2**64 - 1")
     columns = (Column(leaf, kind, pair, int(count), _unit(leaf, unit), int(seed)) for leaf, pair in numbers.items())
     return Axis(name, int(count), tuple(columns))
 
@@ -255,8 +263,7 @@ def _require_positive(leaf: str, ends: Any) -> None:
 
 
 def _unit(leaf: str, unit: str | None) -> str:
-    name = next((part for part in reversed(leaf.split(".")) if not part.isdigit()), leaf)
-    known = UNITS.get(name, "")
+    known = unit_of(leaf)
     if unit == "deg" and known not in ("rad", ""):
         raise ValueError(f"unit = 'deg' does not fit axis {leaf!r}; leave it out for {known}")
     return known if unit is None else unit

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxsphere.simulation.lanes import BLOCK, same_bits
 
+_LOW = 0xFFFFFFFF  # the lower of two words
 ROUNDS = 8  # of the Feistel network; four are enough to look random, the rest serves tiny counts
 
 
@@ -54,14 +55,17 @@ def _mixed(word: np.ndarray) -> np.ndarray:
 
 
 def _drawn(draw: Callable[..., jax.Array], seed: int, name: str, index: np.ndarray) -> np.ndarray:
-    high, low = (index >> 32).astype(np.uint32), (index & 0xFFFFFFFF).astype(np.uint32)
-    return np.concatenate(_batch(draw, seed, name)(high, low))[: len(index)]
+    words = (crc32(name.encode()), seed >> 32, seed & _LOW, index >> 32, index & _LOW)
+    blocks = _batch(draw)(*(np.broadcast_to(np.asarray(word, np.uint32), index.shape) for word in words))
+    return np.concatenate(blocks)[: len(index)]
 
 
-@lru_cache(maxsize=64)
-def _batch(draw: Callable[..., jax.Array], seed: int, name: str) -> Callable[..., list[jax.Array]]:
-    def one(high: jax.Array, low: jax.Array) -> jax.Array:
-        key = jax.random.fold_in(jax.random.key(seed), crc32(name.encode()))
-        return draw(jax.random.fold_in(jax.random.fold_in(key, high), low), dtype=jax.numpy.float64)
+@lru_cache
+def _batch(draw: Callable[..., jax.Array]) -> Callable[..., list[jax.Array]]:
+    def one(*words: jax.Array) -> jax.Array:
+        key = jax.random.key(0)
+        for word in words:
+            key = jax.random.fold_in(key, word)
+        return draw(key, dtype=jax.numpy.float64)
 
     return same_bits(one, BLOCK, jax.local_devices()[:1])

@@ -89,7 +89,7 @@ def _put(tree: Any, path: list[str], value: Any, name: str, so_far: str) -> Any:
     children = _children(tree)
     if key not in children:
         options = ", ".join(f"{so_far}.{child}" for child in children)
-        fix = f"type one of {options}" if options else f"{so_far} = {tree!r} has no parts, give it some in base"
+        fix = f"type one of {options}" if options else f"{so_far} = {tree!r} has no parts, give it a value first"
         raise ValueError(f"axis {name!r} leads to no number; {fix}")
     child = _put(children[key], rest, value, name, below)
     if isinstance(tree, np.ndarray | jax.Array):

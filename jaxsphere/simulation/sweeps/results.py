@@ -143,7 +143,7 @@ class SweepResults:
         outputs = {}
         for name, array in self.values.items():
             inner = tuple(f"{name}_{number}" for number in range(array.ndim - len(self.shape)))
-            outputs[name] = ((*self.dimensions, *inner), array)
+            outputs[name] = ((*self.dimensions, *inner), array, {"units": ax.unit_of(name)})
         return xarray.Dataset(outputs, coordinates)
 
     def _require_status(self) -> None:
