@@ -179,7 +179,7 @@ def test_a_missing_spec_and_resuming_nothing_are_named(capsys, tmp_path):
     assert "none.toml' cannot be read (No such file or directory); type a TOML file" in capsys.readouterr().err
     code, _, err = run(capsys, tmp_path, HEAD + MAP, "--resume")
     assert code == 2
-    assert "holds no sweep; type resume=False" in err
+    assert "holds no sweep to resume; start it without resume" in err
 
 
 def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(tmp_path):

@@ -242,7 +242,7 @@ def refused(named, **options):
 def test_a_store_that_does_not_fit_is_refused(store, tmp_path):
     before = content(store)
     refused(r"holds a sweep already; resume the same sweep", store=store)
-    refused(r"holds no sweep; type resume=False", store=tmp_path / "nothing", resume=True)
+    refused(r"holds no sweep to resume; start it without resume", store=tmp_path / "nothing", resume=True)
     refused(r"resume = True needs the folder", resume=True)
     refused(r"is of another sweep \(it differs in axes\); type another folder", store=store, resume=True, count=41)
     refused(r"is of another sweep \(it differs in dtype, outputs\)", store=store, resume=True, dtype=np.float32)

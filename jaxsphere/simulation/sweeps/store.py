@@ -172,7 +172,7 @@ def load(folder: Path) -> Store:
         manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
         number = manifest["format"]
     except FileNotFoundError:
-        raise ValueError(f"store = {str(folder)!r} holds no sweep; type resume=False to start one") from None
+        raise ValueError(f"store = {str(folder)!r} holds no sweep to resume; start it without resume") from None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"store = {str(folder)!r} has no readable {MANIFEST} ({error}); type another folder") from None
     if number != FORMAT:
