@@ -159,7 +159,7 @@ def test_statuses_add_up_to_the_lanes(climbs):
 
 
 def test_coordinates_carry_dimensions_and_units(climbs):
-    assert climbs.dimensions == ("slope", "move", "sample", "draw & draw")[:3] + climbs.dimensions[3:]
+    assert climbs.dimensions == ("slope", "move", "sample", "draw")
     slope = climbs.coordinates["slope"]
     assert (slope.dimensions, slope.unit) == (("slope",), "deg")
     np.testing.assert_allclose(slope.values, np.linspace(-5.0, 22.0, 11), atol=1e-14)
@@ -294,6 +294,15 @@ FAULTS = {
     "unequal zip": (
         lambda: js.axes.zipped(SLOPES, js.axes.listed("gains.c1", [1, 2])),
         r"zipped axes must be equally long, but 'slope' has 3, 'gains\.c1' has 2; type axes of one length",
+    ),
+    "unequal zip of one name": (
+        lambda: js.axes.zipped(js.axes.uniform({"a": (0, 1)}, 5), js.axes.normal({"b": (0, 1)}, 4)),
+        r"'draw' has 5, 'draw' has 4",
+    ),
+    "unknown status": (lambda: js.sweep(lambda x: {"status": 42}, {}, X).counts(), r"status = 42 is none of jaxsphere\.Status"),
+    "status of several": (
+        lambda: js.sweep(lambda x: {"status": np.arange(2)}, {}, X),
+        r"let it return one js\.Status, or rename it",
     ),
     "empty zip": (lambda: js.axes.zipped(), r"zipped axes must be equally long, but there are none"),
     "strings": (

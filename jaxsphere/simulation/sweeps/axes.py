@@ -119,12 +119,11 @@ def normal(spreads: Mapping[str, Ends], count: int, seed: int = 0, *, unit: str 
 
 def zipped(*axes: Axis, name: str | None = None) -> Axis:
     """Vary several axes of equal length together, as one. Raises ValueError when their lengths differ."""
-    lengths = {axis.name: axis.length for axis in axes}
-    if len(set(lengths.values())) != 1:
-        listing = ", ".join(f"{key!r} has {length}" for key, length in lengths.items()) or "there are none"
+    if len({axis.length for axis in axes}) != 1:
+        listing = ", ".join(f"{axis.name!r} has {axis.length}" for axis in axes) or "there are none"
         raise ValueError(f"zipped axes must be equally long, but {listing}; type axes of one length, or js.axes.product")
     columns = tuple(column for axis in axes for column in axis.columns)
-    return Axis(name or " & ".join(lengths), axes[0].length, columns)
+    return Axis(name or " & ".join(dict.fromkeys(axis.name for axis in axes)), axes[0].length, columns)
 
 
 def product(*axes: Axis | Sequence[Axis]) -> tuple[Axis, ...]:

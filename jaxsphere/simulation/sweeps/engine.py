@@ -106,6 +106,8 @@ def _trace(lane: Callable[..., Any], base: dict[str, Any], names: list[str], dty
         return {name: jnp.asarray(leaf) for name, leaf in leaves.named_outputs(result).items()}
 
     jaxpr, outputs = jax.make_jaxpr(one, return_shape=True)(*[jax.ShapeDtypeStruct((), dtype)] * len(names))
+    if "status" in outputs and not (outputs["status"].shape == () and jnp.issubdtype(outputs["status"].dtype, jnp.integer)):
+        raise ValueError(f"the lane function returns status = {outputs['status']}; let it return one js.Status, or rename it")
     traced = jaxpr_as_fun(jaxpr)
     batch = same_bits(lambda *numbers: tuple(traced(*numbers)), block)
     layout = np.dtype([(name, outputs[name].dtype, outputs[name].shape) for name in sorted(outputs)])

@@ -121,6 +121,10 @@ class SweepResults:
         totals: dict[Status, int] = {}
         for chunk in range(st.shard_count(self.shards)):
             for code, count in zip(*np.unique(self.shards.read(chunk)["status"], return_counts=True), strict=True):
+                if code not in tuple(Status):
+                    raise ValueError(
+                        f"status = {code} is none of jaxsphere.Status; let the lane function return one of 0 ... 7"
+                    )
                 totals[Status(code)] = totals.get(Status(code), 0) + int(count)
         return dict(sorted(totals.items()))
 
