@@ -248,6 +248,8 @@ def test_a_store_that_does_not_fit_is_refused(store, tmp_path):
     refused(r"is of another sweep \(it differs in dtype, outputs\)", store=store, resume=True, dtype=np.float32)
     assert content(store) == before
     assert not (tmp_path / "nothing").exists()
+    (store / "manifest.json").unlink()
+    refused(r"holds shards without manifest\.json; type another folder", store=store)
 
 
 def test_another_lane_function_is_told_by_its_code_and_by_what_it_captured(tmp_path):

@@ -1,4 +1,4 @@
-"""The sweep itself: a lane function is traced once, compiled once and run over chunks of lanes on every device.
+"""The sweep itself: a lane function is traced once, compiled once for a device and run over chunks of lanes on all of them.
 
     lanes -> positions along the axes -> values of the leaves -> arguments -> lane function -> record -> shard
 
@@ -8,7 +8,7 @@ A lane's results depend on its number alone: not on the chunk, the devices or th
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,6 +29,7 @@ from jaxsphere.simulation.sweeps.store import Shards
 CHUNK = 65536  # lanes at most, unless asked for
 CHUNK_BYTES = 2**26  # of arguments and results of a chunk
 VECTOR = 16  # numbers at most in a register
+WIDE_BLOCK = 8192  # lanes that one program computes on anything but a CPU
 
 Progress = Callable[[int, int], None]
 
@@ -70,14 +71,14 @@ def sweep(
     axes = ax.product(axes)
     _require_admissible(lane, base, dtype, chunk)
     lanes = ax.lane_count(axes)
-    block = min(BLOCK if jax.default_backend() == "cpu" else CHUNK, -(-lanes // VECTOR) * VECTOR)
+    block = min(BLOCK if jax.default_backend() == "cpu" else WIDE_BLOCK, -(-lanes // VECTOR) * VECTOR)
     program = _trace(lane, dict(base or {}), [column.leaf for axis in axes for column in axis.columns], dtype, block)
     chunk = _whole_blocks(chunk, lanes, block, program.layout.itemsize + 8 * len(axes))
     if store is None:
         if resume:
             raise ValueError("resume = True needs the folder of the sweep to finish; type store='...' too")
         memory = st.Memory(lanes, chunk)
-        _fill(memory, [], program, axes, progress, "nothing is kept; type store='...' to be able to go on next time")
+        _fill(memory, set(), program, axes, progress, "nothing is kept; type store='...' to be able to go on next time")
         return SweepResults(axes, processes.gather(memory, program.layout))
     spec = identity.described({"lane": lane, "base": base or {}, "axes": axes, "dtype": np.dtype(dtype).name})
     manifest = st.describe(spec, identity.versions(), lanes, chunk, program.layout)
@@ -87,7 +88,7 @@ def sweep(
         listing = ", ".join(map(str, damaged))
         warnings.warn(f"damaged shards of {str(store)!r}, computed again: {listing}", stacklevel=2)
         shards.discard(damaged)
-    _fill(shards, list(shards.verified), program, axes, progress, st.RESUME)
+    _fill(shards, set(shards.verified), program, axes, progress, st.RESUME)
     processes.wait_for_all("computed")
     if processes.is_first():
         shards.seal()
@@ -115,7 +116,7 @@ def _trace(lane: Callable[..., Any], base: dict[str, Any], names: list[str], dty
 
 
 def _fill(
-    shards: Shards, done: Sequence[int], program: _Program, axes: Sequence[Axis], progress: Progress | None, advice: str
+    shards: Shards, done: Set[int], program: _Program, axes: Sequence[Axis], progress: Progress | None, advice: str
 ) -> None:
     """Compute this process' shards that are not `done`; `advice` says how to go on after Ctrl-C."""
     mine = processes.dealt(range(st.shard_count(shards)))
@@ -162,9 +163,8 @@ def _open(folder: Path, manifest: dict[str, Any], resume: bool) -> st.Store:
     if resume:
         shards = st.load(folder)
         st.require_same(shards.manifest, manifest, folder)
-    elif st.holds_a_sweep(folder):
-        raise ValueError(f"store = {str(folder)!r} holds a sweep already; {st.RESUME}, or type another folder")
     else:
+        st.require_empty(folder)
         shards = st.Store(folder, manifest)
     processes.wait_for_all("checked")
     if processes.is_first():

@@ -180,9 +180,12 @@ def load(folder: Path) -> Store:
     return Store(folder, manifest)
 
 
-def holds_a_sweep(folder: Path) -> bool:
-    """Tell whether the folder has a manifest."""
-    return (folder / MANIFEST).exists()
+def require_empty(folder: Path) -> None:
+    """Require that no sweep is in the folder. Raises ValueError otherwise."""
+    if (folder / MANIFEST).exists():
+        raise ValueError(f"store = {str(folder)!r} holds a sweep already; {RESUME}, or type another folder")
+    if any(folder.glob("shard-*.npy")):
+        raise ValueError(f"store = {str(folder)!r} holds shards without {MANIFEST}; type another folder")
 
 
 def require_same(found: dict[str, Any], wanted: dict[str, Any], folder: Path) -> None:
