@@ -124,6 +124,15 @@ def test_lines_are_tracked_in_single_precision(capsys, tmp_path):
     assert (tmp_path / "out" / "sweep.png").stat().st_size > 10_000
 
 
+def test_bench_prints_lanes_and_memory(capsys, tmp_path):
+    assert cli.main(["bench", "--case", "sweep", "--lanes", "600", "--steps", "5", "--out", str(tmp_path)]) == 0
+    numbers = json.loads((tmp_path / "metrics.json").read_text())["sweep"]
+    assert [numbers[f"{lanes} lanes"]["sum_of_statuses"] for lanes in (60, 600)] == [60, 600]
+    assert numbers["600 lanes"]["peak_memory_MB"] >= numbers["60 lanes"]["peak_memory_MB"] > 50.0
+    assert "peak memory" in capsys.readouterr().out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bench_sweep.png", "manifest.json", "metrics.json"]
+
+
 def test_the_spec_that_ships_is_admissible():
     spec = read_spec(ROOT / "experiments" / "specs" / "sweep.toml")
     assert [axis.length for axis in spec.axes] == [32, 41]
