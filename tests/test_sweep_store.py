@@ -127,6 +127,13 @@ def test_a_flipped_byte_is_reported_and_repaired(undisturbed, store, place):
     assert content(store) == content(undisturbed)
 
 
+def test_a_shard_under_a_wrong_checksum_is_replaced(undisturbed, store):
+    shard(store, 1).rename(store / "shard-000001-0123456789abcdef.npy")
+    with pytest.warns(UserWarning, match=r"computed again: 1$"):
+        swings(store=store, resume=True)
+    assert content(store) == content(undisturbed)
+
+
 def test_a_shard_cut_short_and_one_that_is_gone_come_back(undisturbed, store):
     os.truncate(shard(store, 0), 1000)
     shard(store, 3).unlink()
