@@ -13,6 +13,7 @@ import numpy as np
 
 import jaxsphere as js
 from experiments import plotting
+from experiments.benchmark_pareto import pareto_case
 from experiments.benchmark_sweep import sweep_case
 from experiments.benchmark_tuning import tuning_case
 from experiments.records import Record
@@ -146,10 +147,12 @@ def _seconds(run: Callable[[], Any]) -> float:
     return time.perf_counter() - start
 
 
-# What to run, and how many lanes by default (for tuning: how many rollouts each of scipy's optimisers may use).
+# What to run, and how many lanes by default (for tuning: how many rollouts each of scipy's optimisers may use; for pareto:
+# how many weightings are tuned at once).
 CASES = {
     "planar": (planar_case, 8192),
     "spatial": (spatial_case, 1024),
     "tuning": (tuning_case, 1200),
+    "pareto": (pareto_case, 96),
     "sweep": (sweep_case, 65536),
 }

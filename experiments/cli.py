@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass, field
-from typing import Annotated
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any
 
 import tyro
 
-from experiments.options.planar import MotionOptions, SlidingModeOptions, TuningOptions
+from experiments.options.planar import MotionOptions, SlidingModeOptions, TuningOptions, UncertaintyOptions
 from experiments.options.robot import RobotOptions
 from experiments.options.spatial import TrackingGainOptions, TrackOptions, TrackTuningOptions
+from experiments.options.spec import load_spec, take_spec
 from jaxsphere import RolloutError, SweepError
 from jaxsphere.simulation.lanes import use_all_cores
+
+
+@dataclass
+class Specified:
+    """What every command has that a TOML file can describe."""
+
+    out: str = "out"
+    """Folder for pictures, numbers (metrics.json) and manifest.json."""
+    spec: str | None = None
+    """TOML file with any of these options, e.g. a table [robot]; the command line overrides it."""
 
 
 @dataclass
@@ -34,7 +45,7 @@ class Reproduce:
 
 
 @dataclass
-class SimulatePlanar:
+class SimulatePlanar(Specified):
     """Roll the sphere from rest to rest on a slope under sliding-mode control."""
 
     robot: RobotOptions = field(default_factory=RobotOptions)
@@ -42,8 +53,6 @@ class SimulatePlanar:
     """The true robot, where it differs from the one that the controller believes in."""
     gains: Annotated[SlidingModeOptions, tyro.conf.arg(name="")] = field(default_factory=SlidingModeOptions)
     motion: Annotated[MotionOptions, tyro.conf.arg(name="")] = field(default_factory=MotionOptions)
-    out: str = "out"
-    """Folder for pictures, metrics.json and manifest.json."""
 
     def run(self) -> None:
         from experiments.commands import planar
@@ -52,15 +61,17 @@ class SimulatePlanar:
 
 
 @dataclass
-class TunePlanar:
+class TunePlanar(Specified):
     """Improve the six gains of the planar controller by gradients through rollouts."""
 
     robot: RobotOptions = field(default_factory=RobotOptions)
     gains: Annotated[SlidingModeOptions, tyro.conf.arg(name="")] = field(default_factory=SlidingModeOptions)
     """Where to start."""
     tuning: Annotated[TuningOptions, tyro.conf.arg(name="")] = field(default_factory=TuningOptions)
-    out: str = "out"
-    """Folder for pictures, tuning.json, metrics.json and manifest.json."""
+    uncertainty: UncertaintyOptions = field(default_factory=UncertaintyOptions)
+    """Tune for a batch of drawn robots instead of one, and certify the gains on fresh ones."""
+    checkpoint: str | None = None
+    """File, written between chunks of iterations; checkpoint.npz in the folder by default."""
 
     def run(self) -> None:
         from experiments.commands import planar
@@ -69,7 +80,7 @@ class TunePlanar:
 
 
 @dataclass
-class SimulateSpatial:
+class SimulateSpatial(Specified):
     """Follow a path on the slope with the spatial robot."""
 
     robot: RobotOptions = field(default_factory=RobotOptions)
@@ -77,8 +88,6 @@ class SimulateSpatial:
     """The true robot, where it differs from the one that the controller believes in."""
     gains: Annotated[TrackingGainOptions, tyro.conf.arg(name="")] = field(default_factory=TrackingGainOptions)
     motion: Annotated[TrackOptions, tyro.conf.arg(name="")] = field(default_factory=TrackOptions)
-    out: str = "out"
-    """Folder for pictures, metrics.json and manifest.json."""
 
     def run(self) -> None:
         from experiments.commands import spatial
@@ -87,15 +96,13 @@ class SimulateSpatial:
 
 
 @dataclass
-class TuneSpatial:
+class TuneSpatial(Specified):
     """Improve the gains of the tracking controller by gradients through rollouts."""
 
     robot: RobotOptions = field(default_factory=RobotOptions)
     gains: Annotated[TrackingGainOptions, tyro.conf.arg(name="")] = field(default_factory=TrackingGainOptions)
     """Where to start."""
     tuning: Annotated[TrackTuningOptions, tyro.conf.arg(name="")] = field(default_factory=TrackTuningOptions)
-    out: str = "out"
-    """Folder for pictures, tuning.json, metrics.json and manifest.json."""
 
     def run(self) -> None:
         from experiments.commands import spatial
@@ -127,10 +134,10 @@ class Bench:
     """Measure speed against peers in the same run."""
 
     case: str = "planar"
-    """What to measure: planar, spatial, tuning or sweep."""
+    """What to measure: planar, spatial, tuning, pareto or sweep."""
     lanes: int | None = None
     """Rollouts in the batch, by default 8192 planar, 1024 spatial or 65536 swept ones; for tuning, of each of scipy's
-    optimisers, 1200."""
+    optimisers, 1200; for pareto, weightings tuned at once, 96."""
     steps: int = 1000
     """Steps of each rollout."""
     out: str = "out"
@@ -142,7 +149,7 @@ class Bench:
         bench.bench(self.case, self.lanes, self.steps, self.out)
 
 
-COMMANDS: dict[str, type] = {
+COMMANDS: dict[str, Any] = {
     "reproduce": Reproduce,
     "simulate planar": SimulatePlanar,
     "simulate spatial": SimulateSpatial,
@@ -159,9 +166,14 @@ def main(arguments: list[str] | None = None) -> int:
     name = next((name for name in COMMANDS if words[: len(name.split())] == name.split()), None)
     if name is None:
         return _overview(words)
-    command = tyro.cli(COMMANDS[name], prog=f"jaxsphere {name}", args=words[len(name.split()) :])
-    use_all_cores()
     try:
+        kind, rest = COMMANDS[name], words[len(name.split()) :]
+        given: dict[str, Any] = {}
+        if issubclass(kind, Specified):
+            spec, rest = take_spec(rest)
+            given = {"default": kind() if spec is None else replace(load_spec(kind(), spec), spec=spec)}
+        command = tyro.cli(kind, prog=f"jaxsphere {name}", args=rest, **given)
+        use_all_cores()
         command.run()
         sys.stdout.flush()
     except (ValueError, RolloutError, SweepError) as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -17,13 +17,13 @@ from matplotlib.figure import Figure
 import jaxsphere as js
 from tuning import TuningResult
 
-STYLES = (
+STYLES: tuple[dict[str, Any], ...] = (
     {"color": "#08306b", "linestyle": "-"},
     {"color": "#e6701e", "linestyle": "--"},
     {"color": "#7a9a3a", "linestyle": "-."},
     {"color": "#8c8c8c", "linestyle": ":"},
 )
-_RC: Any = {
+RC: Any = {
     "font.size": 9,
     "axes.grid": True,
     "axes.axisbelow": True,
@@ -46,7 +46,7 @@ class Run(NamedTuple):
 
 def figure(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, np.ndarray]:
     """Empty figure of `size` inches with a grid of axes (rows, columns)."""
-    with plt.rc_context(_RC):
+    with plt.rc_context(RC):
         return plt.subplots(rows, columns, figsize=size, squeeze=False)
 
 
@@ -70,8 +70,8 @@ def regulation_figure(title: str, runs: Sequence[Run], robot: js.Robot, slope: f
         torque.plot(time, np.asarray(run.trajectory.torque)[shown, 0], label=run.label, **style)
         surfaces.plot(time, s1, label=f"s1, {run.label}", **style)
         surfaces.plot(time, s2, label=f"s2, {run.label}", **{**style, "linewidth": 0.8})
-        _phase_plane(sphere_plane, alpha - travel, alpha_rate, float(run.gains.c1), run.label, style)
-        _phase_plane(pendulum_plane, phi - equilibrium - z, phi_rate, float(run.gains.c2), run.label, style)
+        phase_plane(sphere_plane, alpha - travel, alpha_rate, float(run.gains.c1), run.label, style)
+        phase_plane(pendulum_plane, phi - equilibrium - z, phi_rate, float(run.gains.c2), run.label, style)
     name_axes(angle, "time (s)", "sphere angle α (rad)")
     name_axes(swing, "time (s)", "swing φ (deg)")
     name_axes(torque, "time (s)", "motor torque τ (N m)")
@@ -82,7 +82,8 @@ def regulation_figure(title: str, runs: Sequence[Run], robot: js.Robot, slope: f
     return fig
 
 
-def _phase_plane(axes: Axes, position: np.ndarray, rate: np.ndarray, slope: float, label: str, style: dict) -> None:
+def phase_plane(axes: Axes, position: np.ndarray, rate: np.ndarray, slope: float, label: str, style: dict) -> None:
+    """Rate against position with its start, and the line rate = -slope position, thin."""
     axes.plot(position, rate, label=label, **style)
     axes.plot(position[0], rate[0], "o", color=style["color"], markersize=4)
     low, high = position.min(), position.max()
@@ -151,6 +152,35 @@ def bars_figure(title: str, labels: Sequence[str], values: Sequence[float], unit
     panel.set_yticks(range(len(labels)), labels)
     panel.invert_yaxis()
     name_axes(panel, unit, "", title=title, legend=False)
+    return fig
+
+
+def descent_figure(title: str, curves: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
+    """Best objective so far against rollouts, both on logarithmic axes; label -> (rollouts, objective)."""
+    fig, axes = figure(1, 1, (7.0, 4.2))
+    panel = axes[0, 0]
+    for i, (label, (rollouts, objective)) in enumerate(curves.items()):
+        best = np.minimum.accumulate(np.where(np.isfinite(objective), objective, np.inf))
+        panel.step(rollouts, best, where="post", label=label, **STYLES[i % 4] | {"linewidth": 1.8 if i < 3 else 0.9})
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    name_axes(panel, "rollouts", "best objective so far", title=title)
+    return fig
+
+
+def fronts_figure(title: str, fronts: Mapping[str, np.ndarray]) -> Figure:
+    """Fronts (points, 3) of settling (s), swing (rad) and effort ((N m)^2 s), one panel each, coloured by the effort."""
+    fig, axes = figure(1, len(fronts), (3.3 * len(fronts) + 0.9, 3.6))
+    top = max(float(points[:, 2].max()) for points in fronts.values())
+    for panel, (label, points) in zip(axes[0], fronts.items(), strict=True):
+        settling, swing, effort = points.T
+        shade: dict[str, Any] = {"c": effort, "s": 10 + 40 * effort / top, "cmap": "viridis", "vmin": 0.0, "vmax": top}
+        dots = panel.scatter(settling, np.rad2deg(swing), **shade)
+        name_axes(panel, "2 % settling (s)", "peak swing about equilibrium (deg)", f"{label}, {len(points)} points", False)
+        panel.sharex(axes[0, 0])
+        panel.sharey(axes[0, 0])
+    fig.colorbar(dots, ax=axes[0, -1], label="effort ((N m)² s)")
+    fig.suptitle(title)
     return fig
 
 

@@ -56,7 +56,7 @@ def test_every_robot_field_gain_and_setting_reaches_the_simulation(capsys, tmp_p
 def test_tune_writes_gains_that_load_again(capsys, tmp_path):
     import tuning
 
-    words = ["--optimiser", "adam", "--iterations", "2", "--starts", "1", "--duration", "4", "--frozen", "k", "--no-progress"]
+    words = ["--optimiser", "adam", "--iterations", "3", "--starts", "1", "--duration", "4", "--frozen", "k", "--no-progress"]
     code, out, err = run(capsys, "tune", "planar", *words, "--out", str(tmp_path))
     assert code == 0, err
     result = tuning.TuningResult.load(tmp_path / "tuning.json")
@@ -64,6 +64,50 @@ def test_tune_writes_gains_that_load_again(capsys, tmp_path):
     assert result.gains.c1 != 0.5501
     assert f"{result.gains.c1:.4f}" in out
     assert (tmp_path / "tuning.png").stat().st_size > 10_000
+    assert "gradient: " in out
+    assert "hard sign: " in out
+    assert "what matters most" in out
+
+
+ROBUST = """
+[gains]
+k_i = 0.03
+[tuning]
+iterations = 2
+starts = 2
+duration = 0.4
+dt = 0.02
+smoothing = [0.2]
+stiffness = [1.0]
+examine = false
+progress = false
+[uncertainty]
+scenarios = 2
+known = false
+masses = 0.1
+samples = 8
+within = 0.4
+"""
+
+
+def test_tune_from_a_spec_certifies_and_resumes(capsys, tmp_path):
+    spec, folder = tmp_path / "robust.toml", tmp_path / "out"
+    spec.write_text(ROBUST)
+    words = ["tune", "planar", "--spec", str(spec), "--out", str(folder)]
+    code, out, err = run(capsys, *words)
+    assert code == 0, err
+    numbers = json.loads((folder / "metrics.json").read_text())["tuning"]
+    assert numbers["certificate"]["after"]["count"] == 8
+    assert numbers["certificate"]["after"]["failures"] == 8  # nothing settles within 0.4 s
+    assert "certificate, after: 8 of 8 samples failed" in out
+    assert json.loads((folder / "manifest.json").read_text())["uncertainty"]["masses"] == 0.1
+    code, again, err = run(capsys, *words, "--resume")
+    assert code == 0, err
+    assert again == out
+    code, _, err = run(capsys, *words, "--resume", "--starts", "3")
+    assert code == 2
+    assert "is of another problem (it differs in starts)" in err
+    assert err.count("\n") == 1
 
 
 def test_bench_writes_steps_per_second(capsys, tmp_path):
@@ -91,6 +135,10 @@ FAULTS = [
     (["simulate", "planar", "--method", "euler"], "rk4"),
     (["simulate", "planar", "--initial-state", "0", "0", "nan", "0"], "initial_state"),
     (["tune", "planar", "--frozen", "c3"], "c3"),
+    (["tune", "planar", "--smoothing", "0.2"], "smoothing has 1 stages and stiffness 3"),
+    (["tune", "planar", "--iterations", "2"], "iterations = 2 does not reach the last of 3 stages"),
+    (["tune", "planar", "--spec", "none.toml"], "none.toml' cannot be read"),
+    (["tune", "planar", "--uncertainty.scenarios", "2", "--uncertainty.aggregate", "best"], "mean, cvar, worst"),
     (["tune", "planar", "--swing-weight", "-1"], "swing_weight = -1"),
     (["tune", "planar", "--gradient", "sideways"], "forward, reverse"),
     (["simulate", "spatial", "--robot.shell-inertia", "0.018", "0.02", "0.018"], "symmetric about its spin axis"),

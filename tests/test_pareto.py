@@ -29,6 +29,8 @@ def test_a_small_front_trades_one_figure_for_another():
     assert np.all(np.diff(front.figures[:, 0]) >= 0.0)
     assert front.gains.c1.shape == (len(front.figures),)
     assert front.rollouts == 18
+    assert front.plain_rollouts == 18 * (tuning.levenberg_marquardt().plain_rollouts(6) + 1)  # and one to score each
+    assert front.tried == 18
     first = js.SlidingModeGains(*(float(leaf[0]) for leaf in vars(front.gains).values()))
     np.testing.assert_allclose(pareto.figures(objective, first), front.figures[0], rtol=1e-6)
 

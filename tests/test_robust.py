@@ -58,14 +58,24 @@ def test_robust_objective_is_the_mean_over_its_scenarios_and_of_its_residuals():
     scenarios, _ = tuning.sample(WIDE, js.Robot(), 3, seed=0)
     base, gains = tuning.RestToRest(duration=0.4, dt=2e-2), js.SlidingModeGains(k_i=0.03)
     objective = tuning.Robust(base, scenarios)
-    value, squares = jax.jit(lambda gains: (objective(gains), jnp.sum(objective.residuals(gains) ** 2)))(gains)
+
+    @jax.jit
+    def both(gains):
+        every = [replace(objective, aggregate=how, alpha=0.4) for how in robust.AGGREGATES]
+        return [(one(gains), jnp.sum(one.residuals(gains) ** 2)) for one in every], objective.limits(gains)
+
+    ((value, squares), *others), limits = both(gains)
     single = [
         replace(base, **jax.tree.map(lambda leaf, i=i: leaf[i], scenarios)._asdict())(gains) for i in range(3)
     ]  # fmt: skip
     assert value == pytest.approx(float(sum(single)) / 3.0, rel=1e-12)
     assert squares == pytest.approx(float(value), rel=1e-12)
-    with pytest.raises(ValueError, match="aggregate = 'worst' is no sum of squares"):
-        replace(objective, aggregate="worst").residuals(gains)
+    worst = sorted(map(float, single))
+    for (one, sum_of_squares), expected in zip(others, ((worst[1] + worst[2]) / 2.0, worst[2]), strict=True):
+        assert one == pytest.approx(expected, rel=1e-12)
+        assert sum_of_squares == pytest.approx(expected, rel=1e-12)
+    assert limits.swing == limits.overshoot == 0.0
+    assert limits.stability < 0.0
 
 
 def test_a_late_command_acts_one_period_after_its_sample():
@@ -105,6 +115,12 @@ def test_certificate_counts_what_it_should():
     assert f"{found.failures} of 24 samples failed" in found.sentence()
 
 
+def steep():
+    """Three scenarios of which the middle one is past its bound."""
+    scenarios, _ = tuning.sample(WIDE, js.Robot(), 3, seed=0)
+    return tuning.Robust(tuning.RestToRest(), scenarios._replace(slope=scenarios.slope.at[1].set(0.5)))
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -112,6 +128,7 @@ def test_certificate_counts_what_it_should():
         (lambda: tuning.sample(tuning.Uncertainty(slope=(0.5, 0.6)), js.Robot(), 2, 0), "leaves 0 of 8 drawn robots"),
         (lambda: tuning.sample(tuning.Uncertainty(slope=(0.2, 0.1)), js.Robot(), 2, 0), "is no range; type the lowest first"),
         (lambda: robust.aggregate(jnp.ones(2), "median"), "aggregate = 'median' is not known"),
+        (lambda: steep().check(), "scenarios: 1 of 3 robots cannot hold their slope, the first is lane 1; type gentler slopes"),
         (lambda: tuning.clopper_pearson(5, 4), "failures = 5 is not between 0 and count = 4"),
     ],
 )

@@ -148,7 +148,7 @@ FAULTS = [
     ("[robot]\nshell_mass = -1" + MAP, "robot.shell_mass = -1 is not admissible"),
     ("[gains]\nc1 = 0" + MAP, "gains.c1 = 0 is not admissible"),
     ("[settings]\nslope_deg = 100" + MAP, "slope_deg = 100 deg is not admissible"),
-    ("[settings]\ndt = 'fast'" + MAP, "dt = 'fast' is no number"),
+    ("[settings]\ndt = 'fast'" + MAP, "[settings]: dt = 'fast' is not a number; type a number"),
     ("dtype = 'float16'" + MAP, "dtype = 'float16' is not known"),
     ("chunk = 0" + MAP, "chunk = 0 is not admissible"),
     ("outputs = ['speed']" + MAP, "output = 'speed' is not known; type one of status, end_time"),

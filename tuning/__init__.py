@@ -1,15 +1,19 @@
 """Gains by gradients through rollouts."""
 
+from tuning.certificate import Certificate, certify, clopper_pearson
 from tuning.following import FollowLine
 from tuning.health import audit_sign, check_gradient, lyapunov_exponent, stiff_and_sloppy
-from tuning.objectives import BOUNDS, RestToRest, Term, Terms, Weights
+from tuning.limits import Limits
+from tuning.objectives import BOUNDS, SEEKING_BOUNDS, RestToRest
 from tuning.optimisers import Optimiser, adam, cosine_decay
 from tuning.pareto import Front, hypervolume, non_dominated, pareto_front
 from tuning.result import TuningResult
-from tuning.robust import Certificate, Robust, Scenarios, Uncertainty, certify, clopper_pearson, sample
-from tuning.second_order import Quadratic, lbfgs, levenberg_marquardt, quadratic
+from tuning.robust import Robust, Scenarios, Uncertainty, sample
+from tuning.second_order import LeastSquares, Quadratic, lbfgs, levenberg_marquardt, linearise, quadratic
 from tuning.stability import hurwitz_margin
+from tuning.stages import Annealed
 from tuning.starts import latin_hypercube
+from tuning.terms import Term, Terms, Weights
 from tuning.transforms import FROZEN, POSITIVE, UNIT, Parametrisation, Transform, bounded, parametrise
 from tuning.tuner import tune, value_and_gradient
 
@@ -30,10 +34,12 @@ __all__ = [
     "clopper_pearson",
     "sample",
     "BOUNDS",
+    "SEEKING_BOUNDS",
     "FROZEN",
     "FollowLine",
     "POSITIVE",
     "UNIT",
+    "LeastSquares",
     "Optimiser",
     "Parametrisation",
     "Quadratic",
@@ -43,6 +49,8 @@ __all__ = [
     "Transform",
     "TuningResult",
     "Weights",
+    "Annealed",
+    "Limits",
     "adam",
     "bounded",
     "cosine_decay",
@@ -50,6 +58,7 @@ __all__ = [
     "latin_hypercube",
     "lbfgs",
     "levenberg_marquardt",
+    "linearise",
     "parametrise",
     "quadratic",
     "tune",

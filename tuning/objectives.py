@@ -7,9 +7,7 @@ Every residual is smooth in the gains (a hinge only where its square is), so tha
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -22,12 +20,18 @@ from jaxsphere.models import planar
 from jaxsphere.numerics import Real
 from jaxsphere.simulation.metrics import SETTLING_BAND
 from jaxsphere.tasks.regulation import planar_plant, seen_with
+from tuning.diagnosis import first_not_finite
+from tuning.limits import Limits
 from tuning.stability import hurwitz_margins
+from tuning.terms import Term, Terms, Weights, is_off, linear_far_out, scalar_of
 
 Sums = tuple[Array, ...]
 
 # Ranges for Latin-hypercube starts of a robot like set A; within them 4 ms and 8 ms of hold keep the smoothed switching stable.
 BOUNDS = {"c1": (0.2, 1.5), "c2": (1.0, 8.0), "z_u": (0.2, 0.98), "phi_z": (2.0, 20.0), "eta": (0.5, 10.0), "k": (0.2, 10.0)}
+
+# The equilibrium-seeking gain, where it is used at all.
+SEEKING_BOUNDS = {"k_i": (0.005, 0.3)}
 
 # Widths of the smooth |e| and of the smooth step into the settling band, of the travel.
 _TRACKING_WIDTH = 1e-3
@@ -35,42 +39,6 @@ _SETTLING_WIDTH = 4e-3
 # Margins below these are penalised: of the divisor of (12) and of Routh's column.
 _LEAST_NONSINGULARITY = 0.2
 _LEAST_HURWITZ = 0.1
-
-
-class Weights(NamedTuple):
-    """Weights of the terms of `RestToRest`; zero switches a term off."""
-
-    tracking: Real = 1.0
-    swing: Real = 1.0
-    torque: Real = 1e-3
-    chatter: Real = 0.5
-    settling: Real = 0.0
-    overshoot: Real = 1.0
-    singularity: Real = 100.0
-    stability: Real = 100.0
-    prior: Real = 0.03
-
-
-class Terms(NamedTuple):
-    """The unweighted terms of one rollout; every entry a scalar (as residuals: vectors whose squares sum to it)."""
-
-    tracking: Array  # s^2: integral of t |e| / travel, |e| rounded off below 1e-3 of the travel
-    swing: Array  # s: integral of the excess of |phi - phi_0| over swing_limit in degrees, squared up to 1, linear beyond
-    torque: Array  # (N m)^2 s: integral of tau^2
-    chatter: Array  # (N m)^2: mean square of the torque step eta / decoupling that the hard sign switches by
-    settling: Array  # s: integral of a smooth step that is 1 outside the 2 % band and 0 inside
-    overshoot: Array  # s: integral of the excess of e over overshoot_limit in % of the travel, likewise
-    singularity: Array  # squared shortfall of the nonsingularity margin below 0.2, of 0.2
-    stability: Array  # sum of the squared shortfalls of the Hurwitz margins below 0.1, of 0.1
-    prior: Array  # sum of the squared logarithms of c1 ... k over those of `typical`: it decides what nothing else does
-
-
-class Term(NamedTuple):
-    """A term of the user's own: the objective gains weight x function(trajectory)^2."""
-
-    name: str
-    function: Callable[[js.Trajectory], Array]  # of a saved trajectory, one scalar
-    weight: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +100,8 @@ class RestToRest:
         self._require_terms()
         trajectory = self.rollout(gains)
         parts = self._unweighted(gains, trajectory)
-        weighted = [jnp.sqrt(w) * part for w, part in zip(self.weights, parts, strict=True) if not _is_off(w)]
-        own = [jnp.sqrt(term.weight) * _scalar(term, trajectory)[None] for term in self.extra]
+        weighted = [jnp.sqrt(w) * part for w, part in zip(self.weights, parts, strict=True) if not is_off(w)]
+        own = [jnp.sqrt(term.weight) * scalar_of(term, trajectory)[None] for term in self.extra]
         return jnp.concatenate([*weighted, *own])
 
     def terms(self, gains: js.SlidingModeGains) -> Terms:
@@ -155,8 +123,46 @@ class RestToRest:
         self._require_terms()
         return sum((w * t for w, t in zip(self.weights, self._streamed(gains), strict=True)), jnp.zeros(()))
 
+    def limits(self, gains: js.SlidingModeGains) -> Limits:
+        """How far one rollout keeps from the hard limits."""
+        trajectory = self.rollout(gains)
+        measured = trajectory.metrics
+        return Limits(
+            ended_early=1.0 - trajectory.end_time / self.duration,
+            singularity=-jnp.asarray(js.nonsingularity_margin(self.robot, gains)),
+            stability=-jnp.min(hurwitz_margins(self.robot, self.slope, gains)),
+            swing=measured.peak_swing / self.swing_limit - 1.0,
+            overshoot=measured.overshoot - self.overshoot_limit,
+        )
+
+    def stiffened(self, smoothing: Real, stiffness: Real) -> RestToRest:
+        """Same task with another smoothing (rad/s), and the penalties of its limits multiplied by `stiffness`."""
+        hard = ("swing", "overshoot", "singularity", "stability")
+        weights = self.weights._replace(**{name: getattr(self.weights, name) * stiffness for name in hard})
+        return replace(self, smoothing=smoothing, weights=weights)
+
+    def check(self) -> None:
+        """Raise ValueError when there is no term, or the slope is past the bound of the robot."""
+        self._require_terms()
+        if is_concrete((self.robot, self.slope)):
+            js.require_holdable(self.robot, self.slope)
+
+    def explain(self, gains: js.SlidingModeGains) -> str:
+        """Say when and where the objective ceases to be finite: lane, time and quantity."""
+        return first_not_finite(*self.series(gains))
+
+    def series(self, gains: js.SlidingModeGains) -> tuple[Array, dict[str, Array], dict[str, Array]]:
+        """Time (T,), all that changes with it by name (T,), and the terms that no time belongs to."""
+        trajectory = self.rollout(gains)
+        parts = self._unweighted(gains, trajectory)._asdict()
+        still = {f"term {name}": parts.pop(name) for name in Terms._fields[6:]}
+        state = dict(zip(("sphere angle", "rate of the sphere", "swing", "rate of the swing"), trajectory.state.T, strict=True))
+        end = trajectory.time == trajectory.time[-1]
+        own = {term.name: jnp.where(end, scalar_of(term, trajectory), 0.0) for term in self.extra}
+        return trajectory.time, state | {f"term {name}": part for name, part in (parts | own).items()}, still
+
     def _require_terms(self) -> None:
-        if not self.extra and all(_is_off(weight) for weight in self.weights):
+        if not self.extra and all(is_off(weight) for weight in self.weights):
             raise ValueError(
                 "weights leaves the objective without terms; type a positive one, e.g. tuning.Weights(tracking=1.0)"
             )
@@ -227,11 +233,11 @@ class RestToRest:
         )
         return (
             error / jnp.sqrt(size + _TRACKING_WIDTH),
-            _linear_far_out(excess),
+            linear_far_out(excess),
             torque,
             gains.eta / (now.decoupling * jnp.sqrt(self.duration)),
             jnp.exp(0.5 * jax.nn.log_sigmoid((size - SETTLING_BAND) / _SETTLING_WIDTH)),
-            _linear_far_out(100.0 * jnp.maximum(error - self.overshoot_limit, 0.0)),
+            linear_far_out(100.0 * jnp.maximum(error - self.overshoot_limit, 0.0)),
         )
 
     def _still(self, gains: js.SlidingModeGains) -> Sums:
@@ -244,19 +250,3 @@ class RestToRest:
             jnp.maximum(1.0 - hurwitz / _LEAST_HURWITZ, 0.0),
             jnp.stack([jnp.log(getattr(gains, name) / getattr(self.typical, name)) for name in names]),
         )
-
-
-def _linear_far_out(x: Array) -> Array:
-    """Root of 2 (sqrt(1 + x^2) - 1): its square is x^2 up to about one and grows like 2 |x| beyond."""
-    return x * jnp.sqrt(2.0 / (1.0 + jnp.sqrt(1.0 + x * x)))
-
-
-def _is_off(weight: Real) -> bool:
-    return is_concrete(weight) and float(weight) == 0.0
-
-
-def _scalar(term: Term, trajectory: js.Trajectory) -> Array:
-    value = jnp.asarray(term.function(trajectory))
-    if value.shape != ():
-        raise ValueError(f"term {term.name!r} returns shape {value.shape}; return one scalar, e.g. the jnp.mean of it")
-    return value

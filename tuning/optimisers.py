@@ -12,13 +12,18 @@ from jax import Array
 class Optimiser(NamedTuple):
     """init(vector) -> state, update(seen, state, vector) -> (vector, state).
 
-    needs: what `update` must see at the vector: "gradient", the gradient (n,); "value", a pair (value, gradient); "quadratic",
-    a `Quadratic` of a sum of squares.
+    needs: what `update` must see at the vector: "gradient", the gradient (n,); "value", a pair (value, gradient);
+    "residuals", a `LeastSquares`. trials: how often `update` itself evaluates the residuals, without derivatives.
     """
 
     init: Callable[[Array], Any]
     update: Callable[[Any, Any, Array], tuple[Array, Any]]
     needs: str = "gradient"
+    trials: int = 0
+
+    def plain_rollouts(self, size: int) -> int:
+        """Rollouts that one update of `size` unknowns takes when each of the forward mode's tangents counts as one."""
+        return 1 + size + self.trials
 
 
 class AdamState(NamedTuple):

@@ -15,7 +15,7 @@ from jaxsphere.checks import require_scalar
 from jaxsphere.simulation.lanes import over_lanes
 from tuning import starts as drawn
 from tuning.objectives import BOUNDS, RestToRest
-from tuning.second_order import levenberg_marquardt, quadratic
+from tuning.second_order import levenberg_marquardt, linearise
 from tuning.transforms import bounded, parametrise
 
 NAMES = ("settling time, s", "peak swing about equilibrium, rad", "effort, (N m)^2 s")
@@ -28,6 +28,7 @@ class Front(NamedTuple):
     figures: np.ndarray
     tried: int
     rollouts: int  # with gradient
+    plain_rollouts: int  # all, each tangent, trial and scoring counted as one
 
 
 def pareto_front(
@@ -35,16 +36,16 @@ def pareto_front(
     initial_gains: js.SlidingModeGains,
     *,
     points: int = 96,
-    iterations: int = 40,
-    swing: tuple[float, float] = (0.1, 0.6),
+    iterations: int = 16,
+    swing: tuple[float, float] = (0.01, 0.7),
     effort: tuple[float, float] = (1e-4, 0.3),
     bounds: dict[str, tuple[float, float]] | None = None,
     seed: int = 0,
 ) -> Front:
-    """Tune `points` weightings at once by Levenberg-Marquardt and keep the gains that none of the others dominate.
+    """Tune `points` weightings at once by Levenberg-Marquardt and keep what none of the gains on the way dominates.
 
     A weighting has its own swing limit (rad, between the two of `swing`) and its own weight of the torque (between the two
-    of `effort`, even in the logarithm). The figures are scored with the hard sign, a 1 kHz hold and the motor's limit.
+    of `effort`), both even in the logarithm. The figures are scored with the hard sign, a 1 kHz hold and the motor's limit.
 
     Raises:
         ValueError: a range is not admissible, or no gains settle.
@@ -57,29 +58,36 @@ def pareto_front(
     limits = BOUNDS if bounds is None else bounds
     chosen = parametrise(initial_gains, transforms={name: bounded(*ends) for name, ends in limits.items()})
     cube = drawn.latin_hypercube(jax.random.key(seed), points, 2)
-    swings = swing[0] + (swing[1] - swing[0]) * cube[:, 0]
+    swings = swing[0] * (swing[1] / swing[0]) ** cube[:, 0]
     efforts = effort[0] * (effort[1] / effort[0]) ** cube[:, 1]
     rule = levenberg_marquardt()
 
-    def search(vector: Array, limit: Array, weight: Array) -> tuple[js.SlidingModeGains, Array]:
+    def search(vector: Array, limit: Array, weight: Array) -> Array:
         task = replace(objective, swing_limit=limit, weights=objective.weights._replace(torque=weight))
 
-        def iterate(carry: tuple[Array, Any], _: None) -> tuple[tuple[Array, Any], None]:
+        def iterate(carry: tuple[Array, Any], _: None) -> tuple[tuple[Array, Any], Array]:
             trial, state = carry
-            seen = quadratic(lambda free: task.residuals(chosen.to_gains(free)), trial)
-            return rule.update(seen, state, trial), None
+            seen = linearise(lambda free: task.residuals(chosen.to_gains(free)), trial)
+            moved = rule.update(seen, state, trial)
+            return moved, moved[0]
 
-        (_, state), _ = jax.lax.scan(iterate, (vector, rule.init(vector)), None, length=iterations)
-        gains = jax.tree.map(jnp.asarray, chosen.to_gains(state.point))
+        return jax.lax.scan(iterate, (vector, rule.init(vector)), None, length=iterations)[1]
+
+    def score(vector: Array) -> tuple[js.SlidingModeGains, Array]:
+        gains = jax.tree.map(jnp.asarray, chosen.to_gains(vector))
         return gains, figures(objective, gains)
 
     vectors = drawn.across(jax.random.key(seed + 1), chosen.to_vector(initial_gains), points)
-    gains, scores = jax.tree.map(np.asarray, over_lanes(search)(vectors, swings, efforts))
+    found = over_lanes(search)(vectors, swings, efforts)
+    # What a weighting passes on its way may be as good a compromise as where it ends.
+    passed = jnp.reshape(found, (points * iterations, len(chosen.names)))
+    gains, scores = jax.tree.map(np.asarray, over_lanes(score)(passed))
     keep = non_dominated(scores)
     if not keep.any():
         raise ValueError("none of the tuned gains settles within duration; type a longer duration or other bounds")
     order = np.flatnonzero(keep)[np.argsort(scores[keep, 0])]
-    return Front(jax.tree.map(lambda leaf: leaf[order], gains), scores[order], points, points * iterations)
+    plain = points * iterations * (rule.plain_rollouts(len(chosen.names)) + 1)
+    return Front(jax.tree.map(lambda leaf: leaf[order], gains), scores[order], len(scores), points * iterations, plain)
 
 
 def figures(objective: RestToRest, gains: js.SlidingModeGains) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxsphere import SlidingModeGains, TrackingGains
 from jaxsphere.files import to_plain, write_json
 
-FORMAT = 1
+FORMAT = 2
 _GAINS = {kind.__name__: kind for kind in (SlidingModeGains, TrackingGains)}
 
 
@@ -22,8 +22,10 @@ class TuningResult:
     """What tuning found.
 
     gains: the best gains seen in any start; objective: their value. initial_gains, initial_objective: where it began.
-    history: "objective" and "gradient_norm", each (iterations, starts). status: "finished" or "interrupted" (by Ctrl-C).
-    names: the free gains. evaluations: rollouts with gradient.
+    history: "objective" and "gradient_norm", each (iterations, starts). status: "finished", "interrupted" (by Ctrl-C) or
+    "infeasible" (no start keeps the hard limits). names: the free gains. evaluations: rollouts with gradient.
+    bests: best objective of every start (starts,), NaN where it never was finite. finals: the gains of every start there,
+    name -> (starts,). feasible: which of them keep the limits. limits: what the best gains break, as text.
     """
 
     gains: Any
@@ -34,14 +36,11 @@ class TuningResult:
     status: str
     names: tuple[str, ...]
     evaluations: int
-    optimiser: str = "adam"
-
-    @property
-    def bests(self) -> np.ndarray:
-        """Best objective of every start, (starts,); NaN where it never was finite."""
-        finite = np.where(np.isfinite(self.history["objective"]), self.history["objective"], np.inf)
-        best = np.min(finite, axis=0, initial=np.inf)
-        return np.where(np.isfinite(best), best, np.nan)
+    optimiser: str
+    bests: np.ndarray
+    finals: dict[str, np.ndarray]
+    feasible: np.ndarray
+    limits: str = ""
 
     def near_best(self, share: float = 0.02) -> float:
         """Fraction of the starts whose best objective is within `share` of the best of all."""
@@ -64,6 +63,8 @@ class TuningResult:
             f"{self.status}: {self.evaluations} rollouts with gradient, {near} of {self.bests.size} starts within 2 % of "
             "the best"
         )
+        if self.status == "infeasible":
+            rows.append(f"all {self.bests.size} starts ended infeasible: the best {self.limits}; type wider limits")
         copy = ", ".join(f"{leaf.name}={float(getattr(self.gains, leaf.name)):.6g}" for leaf in fields(self.gains))
         rows.append(f"jaxsphere.{type(self.gains).__name__}({copy})")
         return "\n".join(rows)
@@ -85,7 +86,10 @@ class TuningResult:
                 content[name] = kind(**content[name])
             history = content.pop("history")
             arrays = {name: np.array(rows, dtype=np.float64).reshape(len(rows), -1) for name, rows in history.items()}
-            return cls(history=arrays, **content | {"names": tuple(content["names"])})
+            content |= {"names": tuple(content["names"]), "feasible": np.array(content["feasible"], dtype=bool)}
+            content |= {"bests": np.array(content["bests"], dtype=np.float64)}
+            content |= {"finals": {name: np.array(row, dtype=np.float64) for name, row in content["finals"].items()}}
+            return cls(history=arrays, **content)
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise ValueError(
                 f"{os.fspath(path)} is no tuning result of this version; type a file that TuningResult.save wrote"

@@ -1,8 +1,8 @@
-"""Gains for robots that are not exactly the modelled one: sampled scenarios, aggregates and a held-out certificate."""
+"""Gains for robots that are not exactly the modelled one: sampled scenarios and aggregates over them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -13,7 +13,9 @@ from jax import Array
 
 import jaxsphere as js
 from jaxsphere.checks import require_choice, require_scalar
-from jaxsphere.simulation.lanes import over_lanes
+from jaxsphere.numerics import Real
+from tuning.diagnosis import first_not_finite
+from tuning.limits import Limits
 from tuning.objectives import RestToRest
 
 AGGREGATES = ("mean", "cvar", "worst")
@@ -50,29 +52,6 @@ class Scenarios(NamedTuple):
     initial_state: Array
     late: Array
     sensor_bias: Array
-
-
-class Certificate(NamedTuple):
-    """How often gains failed on fresh samples, and the two-sided interval of the failure rate."""
-
-    failures: int
-    count: int
-    excluded: int
-    not_settled: int
-    ended_early: int
-    over_limits: int
-    rate: float
-    low: float
-    high: float
-    settling_times: np.ndarray  # s, (count,), infinite where not settled
-
-    def sentence(self) -> str:
-        """One sentence for people."""
-        return (
-            f"{self.failures} of {self.count} samples failed ({100 * self.rate:.2f} %, 95 % interval {100 * self.low:.2f} to "
-            f"{100 * self.high:.2f} %): {self.not_settled} not settled, {self.ended_early} ended early, {self.over_limits} "
-            f"over the limits; {self.excluded} drawn robots could not hold their slope and were left out"
-        )
 
 
 def sample(uncertainty: Uncertainty, nominal: js.Robot, count: int, seed: int) -> tuple[Scenarios, int]:
@@ -132,7 +111,7 @@ class Robust:
     """Aggregate of an objective over scenarios, as a function of the gains.
 
     objective: gives everything that the scenarios do not. aggregate: "mean", "cvar" (mean of the worst share 1 - alpha) or
-    "worst". Only the mean has residuals.
+    "worst".
     """
 
     objective: RestToRest
@@ -142,18 +121,50 @@ class Robust:
 
     def values(self, gains: js.SlidingModeGains) -> Array:
         """Objective of every scenario, (count,)."""
-        return jax.vmap(lambda one: self._of(one)(gains))(self.scenarios)
+        return self._each(lambda one: one(gains))
 
     def __call__(self, gains: js.SlidingModeGains) -> Array:
         """Aggregate of the objective over the scenarios."""
         return aggregate(self.values(gains), self.aggregate, self.alpha)
 
     def residuals(self, gains: js.SlidingModeGains) -> Array:
-        """Residuals of the mean: those of every scenario, divided by the root of their number."""
-        if self.aggregate != "mean":
-            raise ValueError(f"aggregate = {self.aggregate!r} is no sum of squares; type optimiser='lbfgs' or aggregate='mean'")
-        every = jax.vmap(lambda one: self._of(one).residuals(gains))(self.scenarios)
-        return every.reshape(-1) / jnp.sqrt(every.shape[0])
+        """Residuals (count * m,) whose squares sum to the aggregate: those of every scenario times the root of its share.
+
+        The shares of "cvar" and "worst" depend on the order of the values only, so their derivative is that of the aggregate.
+        """
+        every = self._each(lambda one: one.residuals(gains))
+        values = jax.lax.stop_gradient(jnp.sum(every * every, axis=1))
+        share = _shares(values, self.aggregate, self.alpha)
+        return (jnp.sqrt(share)[:, None] * every).reshape(-1)
+
+    def limits(self, gains: js.SlidingModeGains) -> Limits:
+        """Worst of every hard limit over the scenarios; that of the swing and of the overshoot are soft here."""
+        worst = jax.tree.map(jnp.max, self._each(lambda one: one.limits(gains)))
+        return worst._replace(swing=jnp.zeros(()), overshoot=jnp.zeros(()))
+
+    def stiffened(self, smoothing: Real, stiffness: Real) -> Robust:
+        """Same scenarios, see `RestToRest.stiffened`."""
+        return replace(self, objective=self.objective.stiffened(smoothing, stiffness))
+
+    def check(self) -> None:
+        """Raise ValueError unless every robot of the scenarios can hold its slope and the objective has terms."""
+        require_choice("aggregate", self.aggregate, AGGREGATES)
+        self.objective.check()
+        holds = np.asarray(jax.vmap(js.climbing.can_hold)(self.scenarios.plant, self.scenarios.slope))
+        if not holds.all():
+            raise ValueError(
+                f"scenarios: {int(np.sum(~holds))} of {holds.size} robots cannot hold their slope, the first is lane "
+                f"{int(np.argmin(holds))}; type gentler slopes, or draw them with tuning.sample"
+            )
+
+    def explain(self, gains: js.SlidingModeGains) -> str:
+        """Say which scenario is the first whose objective is not finite, and when and where it ceases to be."""
+        values, series = jax.jit(lambda: self._each(lambda one: (one(gains), one.series(gains))))()
+        lane = int(np.argmin(np.isfinite(values)))
+        return first_not_finite(*jax.tree.map(lambda leaf: leaf[lane], series), lane=lane)
+
+    def _each(self, function: Callable[[RestToRest], Any]) -> Any:
+        return jax.vmap(lambda one: function(self._of(one)))(self.scenarios)
 
     def _of(self, scenario: Scenarios) -> RestToRest:
         return replace(self.objective, **scenario._asdict())
@@ -161,83 +172,15 @@ class Robust:
 
 def aggregate(values: Array, how: str, alpha: float = 0.9) -> Array:
     """Mean, mean of the worst share 1 - alpha (CVaR; of at least one value), or largest of `values` (count,)."""
+    return jnp.sum(_shares(values, how, alpha) * values)
+
+
+def _shares(values: Array, how: str, alpha: float) -> Array:
+    """Weight of each value in the aggregate, (count,); they sum to one."""
     require_choice("aggregate", how, AGGREGATES)
+    count = values.shape[0]
     if how == "mean":
-        return jnp.mean(values)
+        return jnp.full((count,), 1.0 / count)
     require_scalar("alpha", alpha, above=0.0, below=1.0, or_equal=True)
-    worst = 1 if how == "worst" else max(1, round((1.0 - alpha) * values.shape[0]))
-    return jnp.mean(jnp.sort(values)[-worst:])
-
-
-def certify(
-    gains: js.SlidingModeGains,
-    uncertainty: Uncertainty,
-    nominal: js.Robot | None = None,
-    *,
-    count: int = 2000,
-    seed: int = 2000,
-    confidence: float = 0.95,
-    **task: Any,
-) -> Certificate:
-    """Count failures of the gains on fresh samples with the hard sign, a 1 kHz hold and the motor's limit.
-
-    A sample fails when it has not settled to 2 % within the duration, ended early, or swung the pendulum above the horizontal.
-
-    Args:
-        gains: to certify. uncertainty, nominal: what is drawn. count, seed: of the samples; use a seed that tuning did not.
-        confidence: of the two-sided interval. task: as in `rest_to_rest`; 15 s and 5 N m by default.
-    """
-    nominal = js.Robot() if nominal is None else nominal
-    scenarios, excluded = sample(uncertainty, nominal, count, seed)
-    settings: dict[str, Any] = {"duration": 15.0, "dt": 1e-3, "smoothing": 0.0, "control_period": 1e-3, "torque_limit": 5.0}
-    settings |= task
-    numbers = jax.tree.map(lambda leaf: jnp.full((count,), leaf, float), gains)
-
-    def lane(scenario: Scenarios, gains: js.SlidingModeGains) -> tuple[Array, Any]:
-        robot, plant, slope, initial_state, late, bias = scenario
-        options = settings | {"plant": plant, "initial_state": initial_state, "late": late, "sensor_bias": bias}
-        found = js.rest_to_rest(robot, slope, gains, save_every=None, throw=False, **options)
-        return found.status, found.metrics
-
-    status, metrics = jax.tree.map(np.asarray, over_lanes(lane)(scenarios, numbers))
-    steepest = np.maximum(np.abs(metrics.lowest_swing), np.abs(metrics.highest_swing))
-    not_settled = status == js.Status.NOT_SETTLED
-    early = ~np.isin(status, (int(js.Status.OK), int(js.Status.NOT_SETTLED)))
-    over = ~early & (steepest > 0.5 * np.pi)
-    failures = int(np.sum(not_settled | early | over))
-    low, high = (float(bound) for bound in clopper_pearson(failures, count, confidence))
-    return Certificate(
-        failures=failures,
-        count=count,
-        excluded=excluded,
-        not_settled=int(not_settled.sum()),
-        ended_early=int(early.sum()),
-        over_limits=int(over.sum()),
-        rate=failures / count,
-        low=low,
-        high=high,
-        settling_times=metrics.settling_time,
-    )
-
-
-def clopper_pearson(failures: int, count: int, confidence: float = 0.95) -> tuple[Array, Array]:
-    """Exact two-sided interval (lowest, highest) of a failure rate of which `failures` of `count` samples were seen."""
-    require_scalar("confidence", confidence, above=0.0, below=1.0)
-    require_scalar("count", count, above=0)
-    if not 0 <= failures <= count:
-        raise ValueError(f"failures = {failures} is not between 0 and count = {count}; type a whole number that is")
-    tail = 0.5 * (1.0 - confidence)
-    low = _beta_quantile(float(max(failures, 1)), count - failures + 1.0, tail)
-    high = _beta_quantile(failures + 1.0, float(max(count - failures, 1)), 1.0 - tail)
-    return jnp.where(failures == 0, 0.0, low), jnp.where(failures == count, 1.0, high)
-
-
-def _beta_quantile(a: float, b: float, probability: float) -> Array:
-    def halve(_: Any, interval: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = interval
-        middle = 0.5 * (low + high)
-        below = jax.scipy.special.betainc(a, b, middle) < probability
-        return jnp.where(below, middle, low), jnp.where(below, high, middle)
-
-    low, high = jax.lax.fori_loop(0, 60, halve, (jnp.zeros(()), jnp.ones(())))
-    return 0.5 * (low + high)
+    worst = 1 if how == "worst" else max(1, round((1.0 - alpha) * count))
+    return jnp.zeros(count).at[jnp.argsort(values)[count - worst :]].set(1.0 / worst)

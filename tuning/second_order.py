@@ -1,18 +1,26 @@
-"""Second-order optimisers as pairs (init, update): one evaluation of the objective per update, so that they scan and vmap.
+"""Second-order optimisers as pairs (init, update): one evaluation with derivatives per update, so that they scan and vmap.
 
-A trial point is evaluated outside; `update` accepts or rejects it and proposes the next one. A trial whose value or
-derivatives are not finite is rejected like one that is too high.
+L-BFGS has its trial points evaluated outside and accepts or rejects them; Levenberg-Marquardt is handed the residuals and
+tries points of its own. A trial whose value or derivatives are not finite is rejected like one that is too high.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from itertools import pairwise
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxsphere.checks import require_count
 from tuning.optimisers import Optimiser
+
+# Dampings tried side by side, as multiples of the last one that was best; what it grows by when all of them fail.
+FACTORS = (0.25, 1.0, 4.0)
+_GROWTH = 4.0
+_DAMPING_RANGE = (1e-12, 1e8)
 
 
 class Quadratic(NamedTuple):
@@ -23,57 +31,103 @@ class Quadratic(NamedTuple):
     hessian: Array
 
 
+class LeastSquares(NamedTuple):
+    """A sum of squares at one point, its linearisation there, and its residuals elsewhere."""
+
+    value: Array
+    gradient: Array  # (n,)
+    residuals: Array  # (m,)
+    jacobian: Array  # (n, m), transposed
+    elsewhere: Callable[[Array], Array]  # (n,) -> (m,)
+
+
 class MarquardtState(NamedTuple):
-    """The last accepted point, what is known there, and the damping."""
+    """The last point with finite derivatives, the damping it was left with, and the one to start with where it led."""
 
     point: Array
-    known: Quadratic
+    left_with: Array
     damping: Array
-    growth: Array
 
 
-def levenberg_marquardt(damping: float = 0.1, longest: float = 0.5, floor: float = 1e-2) -> Optimiser:
-    """Levenberg-Marquardt of a sum of squares with Marquardt's scaling and the damping rule of Nielsen (1999).
+class _Secant(NamedTuple):
+    point: Array
+    residuals: Array
+    jacobian: Array
+    value: Array
+    damping: Array
+
+
+def levenberg_marquardt(
+    damping: float = 0.1, longest: float = 0.5, floor: float = 1e-2, rounds: int = 3, factors: tuple[float, ...] = FACTORS
+) -> Optimiser:
+    """Levenberg-Marquardt of a sum of squares with Marquardt's scaling, on one Jacobian for several steps.
+
+    An update takes `rounds` steps. In each it tries the damping times every one of `factors` side by side, keeps the best
+    point if it is lower, and corrects the Jacobian by Broyden's rank-one formula with what the trial has shown: a step
+    costs len(factors) evaluations of the residuals instead of a Jacobian.
 
     Args:
         damping: at the start, relative to the diagonal of the Hessian. longest: largest change of any entry in one step.
         floor: least diagonal entry that scales the damping, of the largest: a gain that hardly matters moves slowly.
-        `update` needs a `Quadratic` of the trial point.
+        rounds: steps on one Jacobian. factors: increasing. `update` needs a `LeastSquares` at the vector.
+
+    Raises:
+        ValueError: rounds is below one, or factors are not positive and increasing.
     """
+    require_count("rounds", rounds)
+    if not factors or min(factors) <= 0.0 or any(b <= a for a, b in pairwise(factors)):
+        raise ValueError(f"factors = {factors} are no multiples of the damping; type positive increasing ones")
 
     def init(vector: Array) -> MarquardtState:
-        size = vector.shape[0]
-        nothing = Quadratic(jnp.full((), jnp.inf), jnp.zeros(size), jnp.eye(size))
-        return MarquardtState(vector, nothing, jnp.full((), damping), jnp.full((), 2.0))
+        return MarquardtState(vector, jnp.full((), damping), jnp.full((), damping))
 
-    def update(seen: Quadratic, state: MarquardtState, vector: Array) -> tuple[Array, MarquardtState]:
-        usable = jnp.isfinite(sum((jnp.sum(part) for part in seen), jnp.zeros(())))
-        better = usable & (seen.value < state.known.value)
-        move = vector - state.point
-        curvature = jnp.sum(move * (state.known.hessian @ move))
-        predicted = -jnp.sum(state.known.gradient * move) - 0.5 * curvature
-        first = jnp.isinf(state.known.value)
-        ratio = jnp.where(first, 0.5, (state.known.value - seen.value) / jnp.maximum(predicted, 1e-300))
-        lower = state.damping * jnp.maximum(0.1, 1.0 - (2.0 * ratio - 1.0) ** 3)
-        lower = jnp.where(first, state.damping, lower)
-        after = MarquardtState(
-            point=jnp.where(better, vector, state.point),
-            known=Quadratic(*(jnp.where(better, new, old) for new, old in zip(seen, state.known, strict=True))),
-            damping=jnp.clip(jnp.where(better, lower, state.damping * state.growth), 1e-12, 1e8),
-            growth=jnp.where(better, 2.0, jnp.minimum(2.0 * state.growth, 16.0)),
-        )
-        return after.point + _damped_step(after, longest, floor), after
+    def update(seen: LeastSquares, state: MarquardtState, vector: Array) -> tuple[Array, MarquardtState]:
+        usable = jnp.isfinite(seen.value) & jnp.all(jnp.isfinite(seen.jacobian))
 
-    return Optimiser(init, update, needs="quadratic")
+        def improve(now: _Secant, _: None) -> tuple[_Secant, None]:
+            return _secant_step(now, seen.elsewhere, jnp.asarray(factors), longest, floor), None
+
+        start = _Secant(vector, seen.residuals, seen.jacobian, seen.value, state.damping)
+        end, _ = jax.lax.scan(improve, start, None, length=rounds)
+        # A point without derivatives is left again, for a shorter way from the one before.
+        again = jnp.clip(10.0 * state.left_with, *_DAMPING_RANGE)
+        back, ahead = MarquardtState(state.point, again, again), MarquardtState(vector, state.damping, end.damping)
+        kept = MarquardtState(*(jnp.where(usable, new, old) for new, old in zip(ahead, back, strict=True)))
+        return jnp.where(usable, end.point, state.point), kept
+
+    return Optimiser(init, update, needs="residuals", trials=rounds * len(factors))
 
 
-def _damped_step(state: MarquardtState, longest: float, floor: float) -> Array:
-    diagonal = jnp.diagonal(state.known.hessian)
+def _secant_step(now: _Secant, elsewhere: Callable[[Array], Array], factors: Array, longest: float, floor: float) -> _Secant:
+    dampings = jnp.clip(now.damping * factors, *_DAMPING_RANGE)
+    steps = jax.vmap(lambda damping: _damped_step(now, damping, longest, floor))(dampings)
+    trials = jax.vmap(lambda step: elsewhere(now.point + step))(steps)
+    values = jnp.sum(trials * trials, axis=1)
+    values = jnp.where(jnp.isfinite(values), values, jnp.inf)
+    best = jnp.argmin(values)
+    better = values[best] < now.value
+    # When nothing is lower, the shortest step tells most about the slope here.
+    shown = jnp.where(better, best, len(factors) - 1)
+    step, residuals = steps[shown], trials[shown]
+    surprise = residuals - now.residuals - step @ now.jacobian
+    corrected = now.jacobian + step[:, None] * surprise[None, :] / jnp.maximum(jnp.sum(step * step), 1e-300)
+    return _Secant(
+        point=jnp.where(better, now.point + step, now.point),
+        residuals=jnp.where(better, residuals, now.residuals),
+        jacobian=jnp.where(jnp.isfinite(values[shown]), corrected, now.jacobian),
+        value=jnp.where(better, values[best], now.value),
+        damping=jnp.clip(jnp.where(better, dampings[best], _GROWTH * dampings[-1]), *_DAMPING_RANGE),
+    )
+
+
+def _damped_step(now: _Secant, damping: Array, longest: float, floor: float) -> Array:
+    hessian = now.jacobian @ now.jacobian.T
+    diagonal = jnp.diagonal(hessian)
     scale = jnp.maximum(diagonal, floor * jnp.max(diagonal) + 1e-30)
     # In units in which the diagonal is one: a gain that hardly matters leaves the system well conditioned.
     unit = jnp.sqrt(scale)
-    matrix = state.known.hessian / (unit[:, None] * unit[None, :]) + state.damping * jnp.eye(scale.shape[0])
-    step = -jnp.linalg.solve(matrix, state.known.gradient / unit) / unit
+    matrix = hessian / (unit[:, None] * unit[None, :]) + damping * jnp.eye(scale.shape[0])
+    step = -jnp.linalg.solve(matrix, (now.jacobian @ now.residuals) / unit) / unit
     return step * jnp.minimum(1.0, longest / jnp.maximum(jnp.max(jnp.abs(step)), longest))
 
 
@@ -165,11 +219,17 @@ def _two_loops(gradient: Array, moves: Array, changes: Array) -> Array:
     return -r
 
 
-def quadratic(residuals: Any, vector: Array) -> Quadratic:
-    """Value, gradient and Gauss-Newton Hessian of the sum of squares of `residuals(vector) -> (m,)`, by forward mode."""
+def linearise(residuals: Callable[[Array], Array], vector: Array) -> LeastSquares:
+    """Sum of the squares of `residuals(vector) -> (m,)` with its Jacobian by forward mode."""
 
     def push(direction: Array) -> tuple[Array, Array]:
         return jax.jvp(residuals, (vector,), (direction,))
 
     r, jacobian = jax.vmap(push, out_axes=(None, 0))(jnp.eye(vector.shape[0], dtype=vector.dtype))
-    return Quadratic(jnp.sum(r * r), 2.0 * jacobian @ r, 2.0 * jacobian @ jacobian.T)
+    return LeastSquares(jnp.sum(r * r), 2.0 * jacobian @ r, r, jacobian, residuals)
+
+
+def quadratic(residuals: Callable[[Array], Array], vector: Array) -> Quadratic:
+    """Value, gradient and Gauss-Newton Hessian of the sum of squares of `residuals(vector) -> (m,)`."""
+    seen = linearise(residuals, vector)
+    return Quadratic(seen.value, seen.gradient, 2.0 * seen.jacobian @ seen.jacobian.T)

@@ -18,13 +18,13 @@ from tuning import checkpoint as checkpoints
 from tuning import starts as drawn
 from tuning.optimisers import Optimiser, adam, cosine_decay
 from tuning.result import TuningResult
-from tuning.second_order import lbfgs, levenberg_marquardt, quadratic
+from tuning.second_order import lbfgs, levenberg_marquardt, linearise
 from tuning.transforms import Parametrisation, Transform, bounded, parametrise
 
 Objective = Callable[[Any], Array]
 GRADIENTS = ("forward", "reverse")
 OPTIMISERS = ("adam", "lbfgs", "lm")
-_ITERATIONS = {"adam": 150, "lbfgs": 60, "lm": 80}
+_ITERATIONS = {"adam": 150, "lbfgs": 60, "lm": 35}
 
 
 class _Start(NamedTuple):
@@ -32,7 +32,7 @@ class _Start(NamedTuple):
     optimiser: Any
     best_vector: Array
     best: Array
-    left: Array  # iterations still to do
+    done: Array  # iterations
 
 
 def value_and_gradient(
@@ -79,9 +79,11 @@ def tune(
     """Make `objective(gains)` small by gradients from one or many starts.
 
     Args:
-        objective: gains -> scalar, differentiable, e.g. `tuning.RestToRest(...)`. initial_gains: the first start.
+        objective: gains -> scalar, differentiable, e.g. `tuning.RestToRest(...)`, or `tuning.Annealed(...)` of one, whose
+        stages share the iterations. Its `limits(gains)`, where it has them, decide which starts ended feasible; the best of
+        those wins. initial_gains: the first start.
         optimiser: "adam", "lbfgs", "lm" (Levenberg-Marquardt; the objective then needs `residuals(gains) -> (m,)`, whose
-        squares sum to it) or a pair (init, update). iterations: per start, one rollout with gradient each; 150, 60 or 80 by
+        squares sum to it) or a pair (init, update). iterations: per start, one rollout with gradient each; 150, 60 or 35 by
         default. learning_rate: of Adam in the free coordinates (about relative change per step), decaying along a cosine.
         starts: how many, by Latin hypercube, all but the first: over `bounds` (name -> lowest and highest value, kept by
         construction) for the gains that have them all, otherwise normal around the first with the standard deviation
@@ -90,8 +92,8 @@ def tune(
         every chunk. resume: continue from it.
 
     Raises:
-        ValueError: an argument is not admissible, the objective is no scalar or not finite at every start, or the checkpoint
-        is of another problem.
+        ValueError: an argument is not admissible, the objective is no scalar or not finite at `initial_gains`, or the
+        checkpoint is of another problem.
     """
     if isinstance(optimiser, str):
         require_choice("optimiser", optimiser, OPTIMISERS)
@@ -107,9 +109,15 @@ def tune(
     chosen = parametrise(initial_gains, frozen, dict(transforms or {}) | limits)
     first = chosen.to_vector(initial_gains)
     rule = optimiser if isinstance(optimiser, Optimiser) else _named_optimiser(label, learning_rate, iterations)
-    evaluate = _evaluator(objective, chosen, gradient, rule.needs)
     getattr(objective, "check", lambda: None)()
-    shape = jax.eval_shape(evaluate, first)[0].shape
+    stages, at = getattr(objective, "stages", 1), getattr(objective, "stage", lambda _: objective)
+    if iterations < stages:
+        raise ValueError(f"iterations = {iterations} does not reach the last of {stages} stages; type at least {stages}")
+
+    def evaluate(vector: Array, stage: Array) -> Any:
+        return _evaluator(at(stage), chosen, gradient, rule.needs)(vector)
+
+    shape = jax.eval_shape(lambda vector: evaluate(vector, jnp.int32(0))[0], first).shape
     if shape != ():
         raise ValueError(f"objective returns shape {shape}; return one scalar")
 
@@ -123,9 +131,16 @@ def tune(
     )
 
     def iterate(start: _Start, _: None) -> tuple[_Start, tuple[Array, Array]]:
-        seen = evaluate(start.vector)
+        stage, before = (jnp.clip(done * stages // iterations, 0, stages - 1) for done in (start.done, start.done - 1))
+        if stages > 1:  # what is known of another objective counts for nothing
+            fresh = stage != before
+            again = start._replace(
+                vector=start.best_vector, optimiser=rule.init(start.best_vector), best=jnp.full_like(start.best, jnp.inf)
+            )
+            start = jax.tree.map(lambda new, old: jnp.where(fresh, new, old), again, start)
+        seen = evaluate(start.vector, stage)
         value, slope = seen[:2]
-        active = start.left > 0
+        active = start.done < iterations
         better = active & (value < start.best)
         vector, state = jax.tree.map(
             lambda new, old: jnp.where(active, new, old),
@@ -133,16 +148,12 @@ def tune(
             (start.vector, start.optimiser),
         )
         best = jnp.where(better, value, start.best)
-        after = _Start(vector, state, jnp.where(better, start.vector, start.best_vector), best, start.left - 1)
+        after = _Start(vector, state, jnp.where(better, start.vector, start.best_vector), best, start.done + 1)
         return after, (value, jnp.sqrt(jnp.sum(slope * slope)))
 
     run = over_lanes(lambda start: jax.lax.scan(iterate, start, None, length=chunk))
     batch = _Start(
-        vectors,
-        jax.vmap(rule.init)(vectors),
-        vectors,
-        jnp.full((starts,), jnp.inf, float),
-        jnp.full((starts,), iterations),
+        vectors, jax.vmap(rule.init)(vectors), vectors, jnp.full((starts,), jnp.inf, float), jnp.zeros((starts,), int)
     )
     history = {name: np.zeros((0, starts)) for name in ("objective", "gradient_norm")}
     if resume and checkpoint is not None:
@@ -155,8 +166,8 @@ def tune(
                 count = min(chunk, iterations - done)
                 new = {"objective": values, "gradient_norm": norms}
                 history = {n: np.concatenate([rows, np.asarray(new[n]).T[:count]]) for n, rows in history.items()}
-                if not np.isfinite(history["objective"][0]).any():
-                    raise ValueError(_not_finite(objective, initial_gains, starts))
+                if not (np.isfinite(history["objective"][0, 0]) and np.isfinite(history["gradient_norm"][0, 0])):
+                    raise ValueError(_not_finite(objective, initial_gains, history))
                 if checkpoint is not None:
                     checkpoints.save(checkpoint, problem, batch, history)
                 bar.update(count)
@@ -165,18 +176,28 @@ def tune(
             status = "interrupted"
             if not history["objective"].size:
                 raise
-    winner = int(np.nanargmin(np.asarray(batch.best)))
-    found = chosen.to_gains(jnp.asarray(batch.best_vector[winner]))
+    finals = jax.vmap(chosen.to_gains)(batch.best_vector)
+    bests = np.asarray(batch.best)
+    judge = getattr(at(stages - 1), "limits", None)
+    limits = None if judge is None else jax.tree.map(np.asarray, over_lanes(judge)(finals))
+    feasible = np.ones(starts, bool) if limits is None else np.asarray(limits.feasible)
+    if status == "finished" and not feasible.any():
+        status = "infeasible"
+    winner = int(np.nanargmin(np.where(feasible | ~feasible.any(), bests, np.inf)))
     return TuningResult(
-        gains=jax.tree.map(float, found),
-        objective=float(batch.best[winner]),
+        gains=jax.tree.map(lambda leaf: float(leaf[winner]), finals),
+        objective=float(bests[winner]),
         initial_gains=jax.tree.map(float, initial_gains),
-        initial_objective=float(history["objective"][0, 0]),
+        initial_objective=float(history["objective"][0, 0] if stages == 1 else jax.jit(at(stages - 1))(initial_gains)),
         history=history,
         status=status,
         names=chosen.names,
         evaluations=int(history["objective"].size),
         optimiser=label,
+        bests=np.where(np.isfinite(bests), bests, np.nan),
+        finals={name: np.asarray(getattr(finals, name)) for name in chosen.names},
+        feasible=feasible,
+        limits="" if limits is None else jax.tree.map(lambda leaf: leaf[winner], limits).sentence(),
     )
 
 
@@ -188,15 +209,25 @@ def _named_optimiser(name: str, learning_rate: float, iterations: int) -> Optimi
 
 def _evaluator(objective: Objective, chosen: Parametrisation, gradient: str, needs: str) -> Callable[[Array], Any]:
     evaluate = value_and_gradient(objective, chosen, gradient)
-    if needs != "quadratic":
+    if needs != "residuals":
         return evaluate
     residuals = getattr(objective, "residuals", None)
     if residuals is None:
         raise ValueError("optimiser = 'lm' needs residuals, which this objective has not; type optimiser='lbfgs' or 'adam'")
-    return lambda vector: quadratic(lambda free: residuals(chosen.to_gains(free)), vector)
+    return lambda vector: linearise(lambda free: residuals(chosen.to_gains(free)), vector)
 
 
-def _not_finite(objective: Objective, gains: Any, starts: int) -> str:
+def _not_finite(objective: Objective, gains: Any, history: dict[str, np.ndarray]) -> str:
+    values, starts = history["objective"][0], history["objective"].shape[1]
+    if np.isfinite(values[0]):
+        return (
+            "the gradient at initial_gains is not finite though the objective is; type another initial_gains, or a smoother "
+            "objective, e.g. a larger smoothing"
+        )
     explain = getattr(objective, "explain", None)
     cause = f" ({explain(gains)})" if explain is not None else ""
-    return f"the objective is not finite at any of the {starts} starts{cause}; type another initial_gains"
+    others = int(np.sum(np.isfinite(values)))
+    return (
+        f"objective = {values[0]} at initial_gains{cause}, and it is finite at {others} of {starts} starts; type another "
+        "initial_gains, or mend that term"
+    )

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 
 import jaxsphere as js
-import tuning
-from experiments import fig4, plotting
+from experiments import fig4, planar_tuning, plotting, report
 from experiments.commands.printing import print_numbers
 from experiments.records import Record
 from jaxsphere.checks import require_scalar
@@ -54,56 +53,22 @@ def simulate(options: SimulatePlanar) -> None:
 
 
 def tune(options: TunePlanar) -> None:
-    """Tune the gains, score them with the hard sign and a 1 kHz hold, and draw before and after."""
+    """Tune the gains, score them with the hard sign and a 1 kHz hold, and draw one page."""
     settings = options.tuning
-    robot, initial = options.robot.make(), options.gains.make()
-    for name in ("tracking_weight", "swing_weight", "torque_weight", "chatter_weight"):
-        require_scalar(name, getattr(settings, name), above=0.0, or_equal=True)
-    require_scalar("swing_limit_deg", settings.swing_limit_deg, above=0.0, unit="deg")
-    require_scalar("slope_deg", settings.slope_deg, above=-90.0, below=90.0, unit="deg")
-    slope = math.radians(settings.slope_deg)
-    js.require_holdable(robot, slope)
+    planar_tuning.check(options)
     record = Record(options.out)
-    objective = tuning.RestToRest(
-        robot,
-        slope,
-        settings.travel,
-        settings.duration,
-        settings.dt,
-        settings.smoothing,
-        settings.torque_limit,
-        math.radians(settings.swing_limit_deg),
-        weights=tuning.Weights(
-            settings.tracking_weight, settings.swing_weight, settings.torque_weight, settings.chatter_weight
-        ),
-    )
-    result = tuning.tune(
-        objective,
-        initial,
-        optimiser=settings.optimiser,
-        iterations=settings.iterations,
-        starts=settings.starts,
-        bounds={name: ends for name, ends in tuning.BOUNDS.items() if name not in settings.frozen},
-        learning_rate=settings.learning_rate,
-        seed=settings.seed,
-        gradient=settings.gradient,
-        frozen=settings.frozen,
-        progress=settings.progress,
-        checkpoint=settings.checkpoint,
-        resume=settings.resume,
-    )
-    result.save(record.folder / "tuning.json")
-    scoring = fig4.SCORING | {"torque_limit": settings.torque_limit, "throw": False}
-    runs = {"before": initial, "after": result.gains}
-    scored = {name: js.rest_to_rest(robot, slope, gains, settings.travel, **scoring) for name, gains in runs.items()}
-    numbers = {name: fig4.figures(trajectory) for name, trajectory in scored.items()}
-    shown = [plotting.Run(name, scored[name], gains) for name, gains in runs.items()]
-    title = f"Before and after tuning, {settings.slope_deg:g}° slope, hard sign, 1 kHz hold"
-    record.picture("tuning", plotting.regulation_figure(title, shown, robot, slope, settings.travel, until=10.0))
-    record.picture("tuning_convergence", plotting.convergence_figure(result))
-    record.finish({"tuning": {"gains": result.gains, **numbers}}, robot=robot, gains=initial, settings=settings)
-    print(result.report())
-    for name, figures in numbers.items():
+    found = planar_tuning.study(replace(options, checkpoint=options.checkpoint or str(record.folder / "checkpoint.npz")))
+    found.result.save(record.folder / "tuning.json")
+    many = f", {options.uncertainty.scenarios} drawn robots" if options.uncertainty.scenarios else ""
+    title = f"Tuning of the planar controller on a {settings.slope_deg:g}° slope{many}"
+    subject = {"robot": found.robot, "gains": found.result.initial_gains, "settings": settings}
+    record.finish({"tuning": planar_tuning.numbers(found)}, **subject, uncertainty=options.uncertainty)
+    record.picture("tuning", report.planar_page(found, title))
+    print(found.result.report())
+    for name, trajectory in found.scored.items():
         print(f"\n{name}, scored with the hard sign and a 1 kHz hold:")
-        print_numbers(figures)
-    print(f"\npictures, tuning.json, metrics.json and manifest.json are in {record.folder}")
+        print_numbers(fig4.figures(trajectory))
+    print()
+    for sentence in planar_tuning.sentences(found):
+        print(sentence)
+    print(f"\ntuning.png, tuning.json, metrics.json and manifest.json are in {record.folder}")

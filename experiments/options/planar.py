@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 import jaxsphere as js
+import tuning
 
 
 @dataclass
@@ -76,8 +77,10 @@ class TuningOptions:
     """Horizon of the tuning rollouts, s."""
     dt: float = 8e-3
     """Time step and control period of the tuning rollouts, s."""
-    smoothing: float = 0.2
-    """Width of the smoothed sign while tuning, rad/s."""
+    smoothing: tuple[float, ...] = (0.2, 0.1, 0.05)
+    """Widths of the smoothed sign, one stage of tuning each, rad/s."""
+    stiffness: tuple[float, ...] = (1.0, 4.0, 16.0)
+    """Factor of the penalties of the limits in each stage."""
     torque_limit: float = 5.0
     """N m"""
     swing_limit_deg: float = 20.0
@@ -85,7 +88,7 @@ class TuningOptions:
     optimiser: str = "lm"
     """lm (Levenberg-Marquardt), lbfgs or adam."""
     iterations: int | None = None
-    """Steps per start; 80, 60 or 150 by default."""
+    """Steps per start; 35, 60 or 150 by default."""
     starts: int = 8
     """Starts, all optimised at once."""
     learning_rate: float = 0.1
@@ -94,8 +97,6 @@ class TuningOptions:
     """Of the starts."""
     gradient: str = "forward"
     """forward or reverse, for lbfgs and adam."""
-    checkpoint: str | None = None
-    """File, written between chunks of iterations, e.g. out/tuning.npz."""
     resume: bool = False
     """Continue from the checkpoint."""
     frozen: tuple[str, ...] = ()
@@ -108,5 +109,51 @@ class TuningOptions:
     """Of the integral of the squared torque."""
     chatter_weight: float = 0.5
     """Of the squared switching step of the hard sign."""
+    examine: bool = True
+    """Check the gradient at the answer, the smoothed against the hard sign, and which gains matter."""
     progress: bool = True
     """Show a progress bar."""
+
+
+@dataclass
+class UncertaintyOptions:
+    """What varies between the robots that the gains are tuned for; off unless `scenarios` is given."""
+
+    scenarios: int = 0
+    """Drawn robots that tuning sees; 0 tunes for the modelled robot alone."""
+    known: bool = True
+    """Whether the controller knows the drawn robot; otherwise it keeps the modelled one."""
+    masses: float = 0.0
+    """Half-width of every mass and inertia, relative."""
+    lengths: float = 0.0
+    """Half-width of the radius and the pendulum's length, relative."""
+    slopes_deg: tuple[float, float] | None = None
+    """Gentlest and steepest slope, degrees; the slope of the task by default."""
+    swing_deg: float = 0.0
+    """Half-width of the initial swing about equilibrium, degrees."""
+    late: float = 0.0
+    """Probability that commands act one control period late."""
+    sensor_bias: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    """Half-widths on alpha, alpha', phi, phi' in rad and rad/s."""
+    aggregate: str = "mean"
+    """Of the scenarios: mean, cvar or worst."""
+    alpha: float = 0.9
+    """Of cvar: the mean of the worst share 1 - alpha."""
+    samples: int = 2000
+    """Fresh robots of the certificate."""
+    within: float = 15.0
+    """A sample fails when it has not settled to 2 % within this time, s."""
+
+    def make(self, slope: float) -> tuning.Uncertainty:
+        """The uncertainty about a task on `slope` (rad)."""
+        mass_like = ("shell_mass", "gimbal_mass", "pendulum_mass", "shell_inertia", "gimbal_inertia")
+        relative = dict.fromkeys(mass_like, self.masses) | dict.fromkeys(("shell_radius", "pendulum_length"), self.lengths)
+        low, high = (slope, slope) if self.slopes_deg is None else map(math.radians, self.slopes_deg)
+        return tuning.Uncertainty(
+            relative={name: width for name, width in relative.items() if width},
+            slope=(low, high),
+            swing=math.radians(self.swing_deg),
+            known=self.known,
+            late=self.late,
+            sensor_bias=self.sensor_bias,
+        )

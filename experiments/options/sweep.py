@@ -32,6 +32,7 @@ import jaxsphere as js
 from experiments.options.planar import MotionOptions, SlidingModeOptions
 from experiments.options.robot import RobotOptions
 from experiments.options.spatial import TrackingGainOptions, TrackOptions
+from experiments.options.spec import fill
 from jaxsphere.checks import require_choice, require_scalar
 from jaxsphere.simulation.sweeps.axes import Axis
 
@@ -113,10 +114,10 @@ _FIXED = ("duration", "dt", "convention", "method", "realisation", "control_peri
 
 
 def _section(name: str, content: Mapping[str, Any], options: type, without: tuple[str, ...] = ()) -> Any:
-    """Options of one TOML table, lists as tuples. Raises ValueError for a key that is none of them."""
+    """Options of one TOML table. Raises ValueError for a key that is none of them and for a value of another kind."""
     table = content.get(name, {})
     _require_known(f"[{name}]", table, tuple(field.name for field in fields(options) if field.name not in without))
-    return options(**{key: tuple(value) if isinstance(value, list) else value for key, value in table.items()})
+    return fill(options(), table, f"[{name}]")
 
 
 def _axis(table: Any) -> Axis:
