@@ -14,6 +14,7 @@ import numpy as np
 import jaxsphere as js
 from experiments import plotting
 from experiments.benchmark_pareto import pareto_case
+from experiments.benchmark_sweep import sweep_case
 from experiments.benchmark_tuning import tuning_case
 from experiments.records import Record
 from jaxsphere.models import climbing, planar
@@ -153,4 +154,5 @@ CASES = {
     "spatial": (spatial_case, 1024),
     "tuning": (tuning_case, 1200),
     "pareto": (pareto_case, 96),
+    "sweep": (sweep_case, 65536),
 }

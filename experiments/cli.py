@@ -13,7 +13,7 @@ from experiments.options.planar import MotionOptions, SlidingModeOptions, Tuning
 from experiments.options.robot import RobotOptions
 from experiments.options.spatial import TrackingGainOptions, TrackOptions, TrackTuningOptions
 from experiments.options.spec import load_spec, take_spec
-from jaxsphere import RolloutError
+from jaxsphere import RolloutError, SweepError
 from jaxsphere.simulation.lanes import use_all_cores
 
 
@@ -111,14 +111,33 @@ class TuneSpatial(Specified):
 
 
 @dataclass
+class Sweep:
+    """Sweep a task over named axes, in chunks on all devices; what is done outlives a crash."""
+
+    spec: tyro.conf.Positional[str]
+    """TOML file with the task, its settings and the axes, e.g. experiments/specs/sweep.toml."""
+    out: str = "out"
+    """Folder for the picture, metrics.json, manifest.json and the lanes in store/."""
+    resume: bool = False
+    """Finish the sweep that OUT/store holds."""
+    progress: bool = True
+    """Show a progress bar."""
+
+    def run(self) -> None:
+        from experiments.commands import sweep
+
+        sweep.sweep(self)
+
+
+@dataclass
 class Bench:
     """Measure speed against peers in the same run."""
 
     case: str = "planar"
-    """What to measure: planar, spatial, tuning or pareto."""
+    """What to measure: planar, spatial, tuning, pareto or sweep."""
     lanes: int | None = None
-    """Rollouts in the batch, 8192 planar or 1024 spatial ones by default; for tuning, of each of scipy's optimisers, 1200; for
-    pareto, weightings tuned at once, 96."""
+    """Rollouts in the batch, by default 8192 planar, 1024 spatial or 65536 swept ones; for tuning, of each of scipy's
+    optimisers, 1200; for pareto, weightings tuned at once, 96."""
     steps: int = 1000
     """Steps of each rollout."""
     out: str = "out"
@@ -136,6 +155,7 @@ COMMANDS: dict[str, Any] = {
     "simulate spatial": SimulateSpatial,
     "tune planar": TunePlanar,
     "tune spatial": TuneSpatial,
+    "sweep": Sweep,
     "bench": Bench,
 }
 
@@ -148,22 +168,22 @@ def main(arguments: list[str] | None = None) -> int:
         return _overview(words)
     try:
         kind, rest = COMMANDS[name], words[len(name.split()) :]
-        default = kind()
-        if isinstance(default, Specified):
+        given: dict[str, Any] = {}
+        if issubclass(kind, Specified):
             spec, rest = take_spec(rest)
-            default = default if spec is None else replace(load_spec(default, spec), spec=spec)
-        command = tyro.cli(kind, prog=f"jaxsphere {name}", args=rest, default=default)
+            given = {"default": kind() if spec is None else replace(load_spec(kind(), spec), spec=spec)}
+        command = tyro.cli(kind, prog=f"jaxsphere {name}", args=rest, **given)
         use_all_cores()
         command.run()
         sys.stdout.flush()
-    except (ValueError, RolloutError) as error:
+    except (ValueError, RolloutError, SweepError) as error:
         print(f"jaxsphere {name}: {error}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader of stdout, e.g. head, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    except KeyboardInterrupt:
-        print(f"jaxsphere {name}: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as error:
+        print(f"jaxsphere {name}: {error or 'interrupted'}", file=sys.stderr)
         return 130
     return 0
 

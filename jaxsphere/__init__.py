@@ -39,6 +39,10 @@ from jaxsphere.robot import Robot, check_robot, robot_named, robots  # noqa: E40
 from jaxsphere.simulation.host import RolloutError  # noqa: E402
 from jaxsphere.simulation.lanes import over_lanes, use_all_cores  # noqa: E402
 from jaxsphere.simulation.rollout import Measure, Plant, Trajectory, rollout  # noqa: E402
+from jaxsphere.simulation.sweeps import axes  # noqa: E402
+from jaxsphere.simulation.sweeps.engine import sweep  # noqa: E402
+from jaxsphere.simulation.sweeps.results import SweepResults, open_sweep  # noqa: E402
+from jaxsphere.simulation.sweeps.store import SweepError  # noqa: E402
 from jaxsphere.tasks import require_holdable, rest_to_rest, track, track_line  # noqa: E402
 
 __all__ = [
@@ -55,13 +59,17 @@ __all__ = [
     "RolloutError",
     "SlidingModeGains",
     "Status",
+    "SweepError",
+    "SweepResults",
     "Trajectory",
+    "axes",
     "check_robot",
     "climbing",
     "climbing_bound",
     "equilibria",
     "equilibrium_swing",
     "nonsingularity_margin",
+    "open_sweep",
     "over_lanes",
     "planar",
     "require_holdable",
@@ -71,6 +79,7 @@ __all__ = [
     "rollout",
     "sliding_mode",
     "sliding_mode_poles",
+    "sweep",
     "use_all_cores",
     "zero_dynamics_poles",
 ]

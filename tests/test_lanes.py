@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxsphere as js
-from jaxsphere.simulation.lanes import over_lanes
+from jaxsphere.simulation.lanes import over_lanes, same_bits
 
 
 def climb(slope, gains):
@@ -54,8 +54,19 @@ def test_result_of_a_lane_does_not_depend_on_the_block(lanes):
         np.testing.assert_array_equal(one, other)
 
 
-def test_no_lanes_and_unequal_axes_are_refused():
-    double = over_lanes(lambda x, y: x + y)
+@pytest.mark.parametrize("count", [3, 8, 21])
+def test_blocks_of_one_program_give_what_vmap_gives(lanes, reference, count):
+    chosen = jax.tree.map(lambda leaf: np.resize(leaf, count), lanes)
+    blocks = same_bits(climb, 8)(*chosen)
+    assert len(blocks) == -(-count // 8)
+    found = jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *blocks)
+    for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(reference), strict=True):
+        np.testing.assert_allclose(ours, np.resize(theirs, (count, *theirs.shape[1:])), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("batched", [over_lanes, lambda function: same_bits(function, 8)])
+def test_no_lanes_and_unequal_axes_are_refused(batched):
+    double = batched(lambda x, y: x + y)
     for arguments in ((np.zeros(0), np.zeros(0)), (np.zeros(3), np.zeros(4)), (np.zeros(3), 1.0), (1.0, 2.0)):
         with pytest.raises(ValueError, match=r"leading axes .* type one positive number of lanes for all"):
             double(*arguments)

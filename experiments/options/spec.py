@@ -38,10 +38,11 @@ def load_spec(default: Options, path: str) -> Options:
         raise ValueError(f"spec = {path!r} cannot be read ({error.strerror}); type a TOML file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"spec = {path!r} is no TOML: {error}; mend that line") from None
-    return _fill(default, content, f"spec = {path!r}")
+    return fill(default, content, f"spec = {path!r}")
 
 
-def _fill(default: Any, content: dict[str, Any], where: str) -> Any:
+def fill(default: Any, content: dict[str, Any], where: str) -> Any:
+    """Copy of the dataclass `default` with `content`; `where` opens the sentence of the ValueError for what does not belong."""
     kinds = typing.get_type_hints(type(default))
     known = [leaf.name for leaf in fields(default) if leaf.name != "spec"]
     changes = {}
@@ -52,7 +53,7 @@ def _fill(default: Any, content: dict[str, Any], where: str) -> Any:
         if is_dataclass(old):
             if not isinstance(value, dict):
                 raise ValueError(f"{where}: {name} = {value!r} is no table; type [{name}] and its options below")
-            changes[name] = _fill(old, value, f"{where}, [{name}]")
+            changes[name] = fill(old, value, f"{where}, [{name}]")
         else:
             changes[name] = _value(kinds[name], value, f"{where}: {name} = {value!r}")
     return replace(default, **changes)

@@ -1,9 +1,11 @@
-"""Many lanes at once: batched in cache-sized blocks, spread over all local devices, compiled once."""
+"""Many lanes at once: batched in cache-sized blocks, spread over all local devices."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from itertools import cycle
 from typing import Any
 
 import jax
@@ -54,6 +56,50 @@ def over_lanes(function: Callable[..., Any], block: int = BLOCK) -> Callable[...
         return jax.tree.map(lambda leaf: leaf[:lanes], batched(padded, size))
 
     return call
+
+
+def same_bits(function: Callable[..., Any], block: int, devices: Sequence[Any] | None = None) -> Callable[..., list[Any]]:
+    """Like `jax.vmap(function)`, but no bit of a lane's result depends on how many lanes or devices there are.
+
+    Every device runs one and the same program of `block` lanes. `over_lanes` cannot promise that: a program of several
+    partitions orders its operations in another way than a program of one, and then rounds differently.
+
+    Args:
+        function: any function of one lane to a pytree of arrays. block: lanes of the program. devices: all local ones unless
+        given; those that are needed are compiled for, at the same time.
+
+    Returns:
+        A function of the same arguments with a leading axis of lanes on every leaf. It returns the results block after block,
+        possibly still being computed; the last block is filled by repeating the last lane. It raises ValueError when the
+        leading axes differ or there are no lanes.
+    """
+    devices = jax.local_devices() if devices is None else devices
+    options = _CPU_OPTIONS if devices[0].platform == "cpu" else None
+    program = jax.jit(jax.vmap(function), compiler_options=options)
+    compiled: dict[Any, Any] = {}
+
+    def call(*arguments: Any) -> list[Any]:
+        lanes = _lane_count(arguments)
+        parts = [jax.tree.map(partial(_host_block, start, block), arguments) for start in range(0, lanes, block)]
+        used = devices[: len(parts)]
+        missing = [device for device in used if device not in compiled]
+        if missing:
+            with ThreadPoolExecutor(len(missing)) as pool:
+                programs = pool.map(lambda device: program.lower(*_shapes(parts[0], device)).compile(), missing)
+                compiled.update(zip(missing, programs, strict=True))
+        return [compiled[device](*jax.device_put(part, device)) for part, device in zip(parts, cycle(used), strict=False)]
+
+    return call
+
+
+def _host_block(start: int, block: int, leaf: Any) -> np.ndarray:
+    part = np.asarray(leaf[start : start + block])
+    return part if len(part) == block else np.concatenate([part, np.repeat(part[-1:], block - len(part), axis=0)])
+
+
+def _shapes(arguments: Any, device: Any) -> Any:
+    sharding = jax.sharding.SingleDeviceSharding(device)
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), arguments)
 
 
 def _lane_count(arguments: tuple[Any, ...]) -> int:

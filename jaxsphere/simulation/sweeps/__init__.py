@@ -1,0 +1,1 @@
+"""Sweeps: axes -> lanes -> chunks -> devices and processes -> store."""
