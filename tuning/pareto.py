@@ -21,7 +21,8 @@ from tuning.transforms import bounded, parametrise
 NAMES = ("settling time, s", "peak swing about equilibrium, rad", "effort, (N m)^2 s")
 
 
-NEAR, SPREAD = 10, 0.7
+# Neighbours are the nearest tenth of the front; how far on their plane a trial lies, standard deviation in their distance.
+_NEAREST, _SPREAD = 0.1, 0.7
 
 
 class Front(NamedTuple):
@@ -120,13 +121,13 @@ def _among_neighbours(key: Array, front: _Scored, count: int) -> np.ndarray:
     """Draw vectors (count, n) on planes through a point of the front and two others, which its nearest tenth holds."""
     keys = jax.random.split(key, 3)
     size = len(front.vectors)
-    near = min(size, max(8, size // NEAR))
+    near = min(size, max(8, round(_NEAREST * size)))
     at = np.asarray(jax.random.randint(keys[0], (count,), 0, size))
     scaled = front.figures / np.maximum(np.ptp(front.figures, axis=0), 1e-300)
     distance = np.sum((scaled[at][:, None] - scaled[None]) ** 2, axis=-1)
     nearest = np.argpartition(distance, near - 1, axis=1)[:, :near]
     picked = np.asarray(jax.random.randint(keys[1], (2, count), 0, near))
-    share = SPREAD * np.asarray(jax.random.normal(keys[2], (2, count, 1)))
+    share = _SPREAD * np.asarray(jax.random.normal(keys[2], (2, count, 1)))
     neighbours = front.vectors[nearest[np.arange(count), picked]]
     return front.vectors[at] + np.sum(share * (neighbours - front.vectors[at]), axis=0)
 
