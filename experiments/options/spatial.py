@@ -105,7 +105,7 @@ class TrackTuningOptions:
     """Coefficient of friction that rolling may need; more is penalised."""
     optimiser: str = "lm"
     """lm (Levenberg-Marquardt), lbfgs or adam."""
-    iterations: int = 20
+    iterations: int = 12
     """Steps per start."""
     starts: int = 16
     """Starts, all optimised at once."""
