@@ -38,8 +38,20 @@ from jaxsphere.models.climbing import (  # noqa: E402
 from jaxsphere.robot import Robot, check_robot, robot_named, robots  # noqa: E402
 from jaxsphere.simulation.host import RolloutError  # noqa: E402
 from jaxsphere.simulation.lanes import over_lanes, use_all_cores  # noqa: E402
+from jaxsphere.simulation.pausable import over_queue  # noqa: E402
 from jaxsphere.simulation.rollout import Measure, Plant, Trajectory, rollout  # noqa: E402
-from jaxsphere.tasks import require_holdable, rest_to_rest, track, track_line  # noqa: E402
+from jaxsphere.tasks import (  # noqa: E402
+    Climb,
+    climb_outcome,
+    outcome_run,
+    require_holdable,
+    rest_to_rest,
+    slope_search,
+    static_bound_by_release,
+    steepest_slope,
+    track,
+    track_line,
+)
 
 __all__ = [
     "TrackingGains",
@@ -48,6 +60,7 @@ __all__ = [
     "track",
     "track_line",
     "tracking",
+    "Climb",
     "Command",
     "Measure",
     "Plant",
@@ -57,12 +70,15 @@ __all__ = [
     "Status",
     "Trajectory",
     "check_robot",
+    "climb_outcome",
     "climbing",
     "climbing_bound",
     "equilibria",
     "equilibrium_swing",
     "nonsingularity_margin",
+    "outcome_run",
     "over_lanes",
+    "over_queue",
     "planar",
     "require_holdable",
     "rest_to_rest",
@@ -70,7 +86,10 @@ __all__ = [
     "robots",
     "rollout",
     "sliding_mode",
+    "slope_search",
     "sliding_mode_poles",
+    "static_bound_by_release",
+    "steepest_slope",
     "use_all_cores",
     "zero_dynamics_poles",
 ]

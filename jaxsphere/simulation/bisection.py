@@ -1,9 +1,9 @@
-"""Largest value of a parameter up to which a simulated lane succeeds: bisection inside one compiled loop.
+"""Largest value of a parameter up to which a simulated lane succeeds: bisection inside a compiled loop.
 
 A trial is a simulation at one value of the parameter, cut into segments: `start(value)` gives its first carry, and
 `advance(value, carry)` runs one segment and says whether the fate is decided. Every lane of a batch is at a trial of its own:
-as soon as one is decided, the lane narrows its bracket and starts the next, while its neighbours are still on theirs. A block
-of lanes ends when all its brackets are narrow, so that nobody waits for the slowest trial of a round.
+as soon as one is decided, the lane narrows its bracket and starts the next, while its neighbours are still on theirs. Run a
+search with `pausable.run`, or many with `pausable.over_queue`.
 
 Bisection assumes that success is monotone in the parameter: below the value found it was seen to succeed, above to fail, and
 nothing was asked in between.
@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxsphere.command import Status, code
+from jaxsphere.simulation.pausable import Pausable
 
 # Factor by which the step grows while the bracket is still open on one side.
 _GROWTH = 4.0
@@ -55,23 +56,28 @@ class _Search(NamedTuple):
     done: Array
 
 
-def outcome(trial: Trial, value: Array) -> tuple[Array, Array]:
-    """Run one trial to its decision; return the Status code and the number of segments it took."""
+class _One(NamedTuple):
+    carry: Any
+    decided: Array
+    status: Array
+    segments: Array
 
-    def body(loop: tuple[Any, Array, Array, Array]) -> tuple[Any, Array, Array, Array]:
-        carry, _, _, segments = loop
-        carry, decided, status = trial.advance(value, carry)
-        return carry, decided, status, segments + 1
 
-    first = (trial.start(value), jnp.zeros((), bool), code(Status.OK), jnp.zeros((), jnp.int32))
-    _, _, status, segments = jax.lax.while_loop(lambda loop: ~loop[1], body, first)
-    return status, segments
+def outcome(trial: Trial, value: Array) -> Pausable:
+    """One trial; it ends with the Status code and the number of segments that it took."""
+
+    def advance(one: _One) -> _One:
+        carry, decided, status = trial.advance(value, one.carry)
+        return _One(carry, decided, status, one.segments + 1)
+
+    first = _One(trial.start(value), jnp.zeros((), bool), code(Status.OK), jnp.zeros((), jnp.int32))
+    return Pausable(first, advance, lambda one: one.decided, lambda one: (one.status, one.segments))
 
 
 def largest_success(
     trial: Trial, low: Array, high: Array, tolerance: Array, guess: Array | None = None, step: Array | None = None
-) -> Bound:
-    """Find the largest value in [low, high] up to which `trial` succeeds, in a bracket at most `tolerance` wide.
+) -> Pausable:
+    """Search for the largest value in [low, high] up to which `trial` succeeds, to a bracket `tolerance` wide; it ends with a `Bound`.
 
     Args:
         trial: the simulation. low, high: ends of the search interval; the answer is never above `high`, which is not tried.
@@ -82,7 +88,7 @@ def largest_success(
     reach = span if step is None else step
     first = 0.5 * (low + high) if guess is None else jnp.clip(guess, low, high)
 
-    def body(search: _Search) -> _Search:
+    def advance(search: _Search) -> _Search:
         carry, decided, status = trial.advance(search.value, search.carry)
         search = search._replace(carry=carry, segments=search.segments + 1)
         learnt = _learn(search, status, low, high, tolerance)
@@ -90,7 +96,7 @@ def largest_success(
         return jax.tree.map(lambda new, old: jnp.where(decided, new, old), learnt, search)
 
     count = jnp.zeros((), jnp.int32)
-    search = _Search(
+    begin = _Search(
         low=low,
         high=high,
         low_known=jnp.zeros((), bool),
@@ -102,16 +108,19 @@ def largest_success(
         segments=count,
         done=jnp.zeros((), bool),
     )
-    found = jax.lax.while_loop(lambda search: ~search.done, body, search)
-    nothing = jnp.nan * span
-    return Bound(
-        value=jnp.where(found.low_known, 0.5 * (found.low + found.high), nothing),
-        lower=jnp.where(found.low_known, found.low, nothing),
-        upper=found.high,
-        status=found.status,
-        trials=found.trials,
-        segments=found.segments,
-    )
+
+    def result(found: _Search) -> Bound:
+        nothing = jnp.nan * span
+        return Bound(
+            value=jnp.where(found.low_known, 0.5 * (found.low + found.high), nothing),
+            lower=jnp.where(found.low_known, found.low, nothing),
+            upper=found.high,
+            status=found.status,
+            trials=found.trials,
+            segments=found.segments,
+        )
+
+    return Pausable(begin, advance, lambda search: search.done, result)
 
 
 def _learn(search: _Search, status: Array, low: Array, high: Array, tolerance: Array) -> _Search:

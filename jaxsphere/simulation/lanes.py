@@ -15,7 +15,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 BLOCK = 512
 
 # XLA compiles for 256-bit vectors unless asked; without 512-bit registers the option has no effect.
-_CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
+CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 
 
 def over_lanes(function: Callable[..., Any], block: int = BLOCK) -> Callable[..., Any]:
@@ -33,7 +33,7 @@ def over_lanes(function: Callable[..., Any], block: int = BLOCK) -> Callable[...
     spec = PartitionSpec("lane")
     on_cpu = mesh.devices.flat[0].platform == "cpu"
 
-    @partial(jax.jit, static_argnames="size", compiler_options=_CPU_OPTIONS if on_cpu else None)
+    @partial(jax.jit, static_argnames="size", compiler_options=CPU_OPTIONS if on_cpu else None)
     def batched(arguments: tuple[Any, ...], size: int) -> Any:
         def shard(arguments: tuple[Any, ...]) -> Any:
             if not on_cpu:
@@ -45,7 +45,7 @@ def over_lanes(function: Callable[..., Any], block: int = BLOCK) -> Callable[...
         return jax.shard_map(shard, mesh=mesh, in_specs=(spec,), out_specs=spec, check_vma=False)(arguments)
 
     def call(*arguments: Any) -> Any:
-        lanes = _lane_count(arguments)
+        lanes = lane_count(arguments)
         size = min(block, -(-lanes // mesh.size))
         padding = -lanes % (size * mesh.size)
         padded = jax.tree.map(lambda leaf: _repeat_last(_strong(leaf), padding), arguments)
@@ -56,7 +56,8 @@ def over_lanes(function: Callable[..., Any], block: int = BLOCK) -> Callable[...
     return call
 
 
-def _lane_count(arguments: tuple[Any, ...]) -> int:
+def lane_count(arguments: tuple[Any, ...]) -> int:
+    """Return the common leading axis of batched arguments. Raises ValueError when there is none, or none in it."""
     counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(arguments)}
     if len(counts) != 1 or counts in ({()}, {(0,)}):
         raise ValueError(
