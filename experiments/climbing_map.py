@@ -123,7 +123,9 @@ class BoundMap(NamedTuple):
     x: Axis
     y: Axis
     value: np.ndarray
-    status: np.ndarray  # Status just above gamma*, -1 where not done
+    lower: np.ndarray  # seen to succeed, at most the tolerance below `upper`
+    upper: np.ndarray  # seen to fail, or the bound (4)
+    status: np.ndarray  # Status at `upper`, OK where that is the bound (4), -1 where not done
     rollouts: int
     seconds: float  # simulated in all of them
     finished: bool
@@ -136,7 +138,8 @@ def bound_map(setting: Setting, x: Axis, y: Axis, tolerance: float = 1e-3, progr
     bracket are simulated all the same, and a guess that was wrong costs trials, not accuracy. Ctrl-C keeps what is done.
     """
     shape = (len(y.values), len(x.values))
-    value, status, done = np.full(shape, np.nan), np.full(shape, -1), np.zeros(shape, bool)
+    value, lower, upper = (np.full(shape, np.nan) for _ in range(3))
+    status, done = np.full(shape, -1), np.zeros(shape, bool)
     run = js.over_queue(
         lambda xv, yv, guess: js.slope_search(_at(setting, (x, xv), (y, yv)).climb, tolerance, guess, setting.dtype)
     )
@@ -152,12 +155,13 @@ def bound_map(setting: Setting, x: Axis, y: Axis, tolerance: float = 1e-3, progr
                     lanes = (x.values[c], y.values[r], guess[part])
                     found = _padded(run, size, *lanes)
                     value[r, c], status[r, c], done[r, c] = found.value, found.status, True
+                    lower[r, c], upper[r, c] = found.lower, found.upper
                     rollouts += int(found.rollouts.sum())
                     seconds += float(found.seconds.sum())
                     bar.update(len(r))
         except KeyboardInterrupt:
             finished = False
-    return BoundMap(x, y, value, status, rollouts, seconds, finished)
+    return BoundMap(x, y, value, lower, upper, status, rollouts, seconds, finished)
 
 
 def _at(setting: Setting, *entries: tuple[Axis, Any]) -> Setting:

@@ -77,11 +77,11 @@ def outcome(trial: Trial, value: Array) -> Pausable:
 def largest_success(
     trial: Trial, low: Array, high: Array, tolerance: Array, guess: Array | None = None, step: Array | None = None
 ) -> Pausable:
-    """Search for the largest value in [low, high] up to which `trial` succeeds, to a bracket `tolerance` wide; it ends with a `Bound`.
+    """Search for the largest value in [low, high] up to which `trial` succeeds; it ends with a `Bound`.
 
     Args:
         trial: the simulation. low, high: ends of the search interval; the answer is never above `high`, which is not tried.
-        tolerance: width of the bracket. guess: where to look first, the middle by default. step: how far from a guess to
+        tolerance: width of the last bracket. guess: where to look first, the middle by default. step: how far from a guess to
         look next, growing by 4 until the bracket is closed; by default the interval's end.
     """
     span = high - low
