@@ -22,6 +22,9 @@ _CHUNKS = (512, 4096, 16384)
 _COARSEST = 16
 # Share of the static bound where the first level looks first.
 _FIRST_GUESS = 0.97
+# Time steps that divide a minute, s, and the largest product with a rate (1/s); RK4 is stable up to 2.78.
+_STEPS = (15e-3, 12e-3, 10e-3, 8e-3, 6e-3, 5e-3, 4e-3, 3e-3, 2e-3, 1e-3)
+_STABLE = 2.2
 
 
 class Setting(NamedTuple):
@@ -63,6 +66,26 @@ def _mass_ratio(setting: Setting, value: Any) -> Setting:
 
 def _length_ratio(setting: Setting, value: Any) -> Setting:
     return _of_robot("pendulum_length")(setting, value * setting.climb.robot.shell_radius)
+
+
+def stable_step(climb: js.Climb, *axes: Axis) -> float:
+    """Largest usual time step (s) with which RK4 stays stable within the smoothed sign, for every point of the axes.
+
+    Raises:
+        ValueError: the sign is hard and the controller continuous, or no usual step is short enough.
+    """
+    largest = {name: float(getattr(climb.gains, name)) for name in ("eta", "k", "c2")}
+    largest |= {which.name: float(which.values.max()) for which in axes if which.name in largest}
+    smoothing = float(climb.smoothing)
+    if climb.control_period is not None:
+        return float(climb.control_period)
+    if smoothing == 0.0:
+        raise ValueError("smoothing = 0 needs a sampled controller; type --control-period 1e-3")
+    rate = largest["eta"] / smoothing + largest["k"] + largest["c2"]
+    for step in _STEPS:
+        if step * rate <= _STABLE:
+            return step
+    raise ValueError(f"smoothing = {smoothing:g} rad/s is too narrow for eta = {largest['eta']:g} rad/s2; type a larger one")
 
 
 class Quantity(NamedTuple):
@@ -179,6 +202,24 @@ def _padded(run: Callable[..., Any], size: int, *lanes: np.ndarray) -> Any:
     count = len(lanes[0])
     found = run(*(np.concatenate([leaf, np.repeat(leaf[-1:], size - count, axis=0)]) for leaf in lanes))
     return jax.tree.map(lambda leaf: np.asarray(leaf)[:count], found)
+
+
+def confirm(setting: Setting, found: BoundMap, sample: int, seed: int = 0) -> tuple[int, int]:
+    """Simulate the ends of random brackets in full: 60 s or what `duration` says, 1 ms, float64, no early decision.
+
+    Returns how many of the ends turn out as the map says, and how many were asked.
+    """
+    rows, columns = np.nonzero(np.isfinite(found.value))
+    chosen = np.random.default_rng(seed).permutation(len(rows))[:sample]
+    r, c = rows[chosen], columns[chosen]
+    climb = replace(setting.climb, dt=min(1e-3, setting.climb.dt), early=False)
+    full = js.over_queue(lambda xv, yv, slope: _outcome(_at(Setting(climb, slope), (found.x, xv), (found.y, yv))))
+    xv, yv = found.x.values[c], found.y.values[r]
+    low = full(xv, yv, found.lower[r, c]).status == js.Status.OK
+    # Nothing was seen to fail where the bracket ends at the bound (4).
+    seen = found.status[r, c] != js.Status.OK
+    high = full(xv, yv, found.upper[r, c]).status != js.Status.OK
+    return int(low.sum() + (high & seen).sum()), int(len(r) + seen.sum())
 
 
 def _static_bounds(setting: Setting, x: Axis, y: Axis) -> np.ndarray:

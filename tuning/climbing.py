@@ -36,6 +36,9 @@ TASK = ("travel", "torque_limit")
 
 # The margin is read when two climbs that differ by the bracket have come this far apart, in units of the state.
 _APART = 1e-4
+# Where the next slope to tune on is, in gaps between gamma* and the bound (4).
+_AHEAD = 0.5
+_BEHIND = 0.1
 
 
 class Sensitivity(NamedTuple):
@@ -114,6 +117,14 @@ def climb_sensitivity(climb: js.Climb, names: Sequence[str] = (*GAINS, *DESIGN),
     ends = tuple(float(margin(float(end), none)) for end in (bound.lower, bound.upper))
     mode = "too slow" if too_slow else "past the saddle"
     return Sensitivity(tuple(names), np.asarray(-by_logarithm / by_slope), slope, mode, time, ends)  # type: ignore[arg-type]
+
+
+def sensitivity_by_differences(climb: js.Climb, names: Sequence[str], step: float = 1e-3, tolerance: float = 1e-9) -> np.ndarray:
+    """Central differences (n,) of the bisected gamma* over `step` in the logarithms of the named quantities, rad."""
+    size = len(names)
+    run = js.over_queue(lambda logarithms: js.slope_search(scaled(climb, names, logarithms), tolerance))
+    value = run(step * np.concatenate([np.eye(size), -np.eye(size)])).value
+    return (value[:size] - value[size:]) / (2.0 * step)
 
 
 def _require_smooth(climb: js.Climb) -> None:
@@ -210,8 +221,9 @@ def tune_to_climb(
         raise ValueError("the gains do not climb even the flat; type others, e.g. jaxsphere.SlidingModeGains()")
     steps = round(climb.duration / dt)
     for _ in range(rounds):
-        # Where the gains still climb, but hardly: half a gap below the gamma* of these gains, of what is left above it.
-        slope = max(float(found.lower) - 0.5 * (static - bounds[-1]), 0.0)
+        # Beyond gamma* where climbs are only too slow; where they fall off the ridge they teach nothing, so just below it.
+        too_slow = int(found.status) == js.Status.NOT_SETTLED
+        slope = max(float(found.lower) + (_AHEAD if too_slow else -_BEHIND) * (static - bounds[-1]), 0.0)
         objective = RestToRest(
             climb.robot,
             slope,
