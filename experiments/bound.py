@@ -1,4 +1,4 @@
-"""How steep: the bound (4) by simulation, the closed-loop bound of Table 3, maps of it, what raises it, gains tuned to climb."""
+"""How steep: (4) by simulation, the closed-loop bound of Table 3, maps of it, what raises it, gains tuned to climb."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 import jaxsphere as js
 import tuning
+from experiments import climbing_axes as axes
 from experiments import climbing_map as maps
 from experiments import climbing_plots as plots
 from experiments.records import Record
@@ -86,8 +87,8 @@ def _table_3() -> dict[str, Any]:
         "share_of_static_bound": degrees[1e-3] / static,
         "just_above": js.Status(int(found[1e-3].status)).name.lower(),
         "summary": [
-            f"closed-loop bound of Table 3: {degrees[1e-3]:.6f} deg, {100.0 * degrees[1e-3] / static:.2f} % of {static:.4f} deg; "
-            f"half the step moves it by {moved:.0e} deg"
+            f"closed-loop bound of Table 3: {degrees[1e-3]:.6f} deg, {100.0 * degrees[1e-3] / static:.2f} % of "
+            f"{static:.4f} deg; half the step moves it by {moved:.0e} deg"
         ],
     }
 
@@ -115,15 +116,15 @@ def _scan(slopes: int = 150, sets: int = 64) -> dict[str, Any]:
         "changes_of_table_3": int(changes[0]),
         "changes_of_random_gains": changes[1:],
         "summary": [
-            f"outcome from flat to (4) at {slopes} slopes: Table 3 changes {changes[0]} time, {len(odd)} of {sets} random sets of "
-            "gains more than once (not monotone)"
+            f"outcome from flat to (4) at {slopes} slopes: Table 3 changes {changes[0]} time, {len(odd)} of {sets} random "
+            "sets of gains more than once (not monotone)"
         ],
     }
 
 
 def _bound_map(record: Record, progress: bool, size: int = 64, sample: int = 64) -> dict[str, Any]:
-    x, y = maps.axis("z_u", size), maps.axis("pendulum_mass", size)
-    setting = maps.Setting(replace(QUICK, dt=maps.stable_step(QUICK)), dtype="float32")
+    x, y = axes.axis("z_u", size), axes.axis("pendulum_mass", size)
+    setting = axes.Setting(replace(QUICK, dt=axes.stable_step(QUICK)), dtype="float32")
     found = maps.bound_map(setting, x, y, progress=progress)
     title = "Steepest slope that the closed loop climbs: Table 3 but for z_U and the pendulum's mass"
     record.picture("bound_map", plots.bound_figure(found, title, (0.9626, 2.05, "Table 3, set A")))
@@ -143,11 +144,13 @@ def _bound_map(record: Record, progress: bool, size: int = 64, sample: int = 64)
 
 
 def _outcome_maps(record: Record, size: int = 192) -> dict[str, Any]:
-    x, y = maps.axis("torque_limit", size), maps.axis("slope", size)
-    setting = maps.Setting(QUICK)
+    x, y = axes.axis("torque_limit", size), axes.axis("slope", size)
+    setting = axes.Setting(QUICK)
     refined = maps.outcome_map(setting, x, y)
     dense = maps.outcome_map(setting, x, y, coarse=None)
-    record.picture("bound_outcomes", plots.outcome_figure(refined, "How climbs with Table 3 end on slopes, by the motor's limit"))
+    record.picture(
+        "bound_outcomes", plots.outcome_figure(refined, "How climbs with Table 3 end on slopes, by the motor's limit")
+    )
     different = int(np.sum(refined.outcome != dense.outcome))
     rollouts = int(refined.simulated.sum())
     return {
@@ -188,7 +191,11 @@ def _tuned(record: Record, progress: bool) -> dict[str, Any]:
     found = climbing.tune_to_climb(js.Climb(dt=4e-3, torque_limit=TORQUE_LIMIT), progress=progress)
     scored = js.steepest_slope(js.Climb(gains=found.gains, **SCORING), 1e-6, found.bounds[-1])
     slope = SHARE * found.static_bound
-    hard = {name: value for name, value in SCORING.items() if name != "early"} | {"duration": 60.0, "save_every": 10, "throw": False}
+    hard = {name: value for name, value in SCORING.items() if name != "early"} | {
+        "duration": 60.0,
+        "save_every": 10,
+        "throw": False,
+    }
     runs = {
         name: js.rest_to_rest(js.Robot(), slope, gains, 10.0, **hard)
         for name, gains in (("tuned to climb", found.gains), ("Table 3", js.SlidingModeGains()))
@@ -196,24 +203,26 @@ def _tuned(record: Record, progress: bool) -> dict[str, Any]:
     title = f"Hard sign, 1 kHz hold, 5 N m on {np.rad2deg(slope):.3f}°, 99 % of the static bound"
     record.picture("bound_climb", plots.climb_figure(title, list(runs.items()), js.Robot(), slope, 10.0))
     record.picture("bound_tuning", plots.tuning_figure(found.bounds, found.static_bound))
-    status = js.Status(int(runs["tuned to climb"].status)).name.lower()
+    best = runs["tuned to climb"]
+    ends = {name: js.Status(int(run.status)).name.lower() for name, run in runs.items()}
+    share = float(scored.value) / found.static_bound
+    settling = float(best.metrics.settling_time)
     return {
         "gains": found.gains,
         "bounds_deg": np.rad2deg(found.bounds),
         "bound_with_hard_sign_1kHz_5Nm_deg": np.rad2deg(scored.value),
-        "share_of_static_bound": scored.value / found.static_bound,
+        "share_of_static_bound": share,
         "at_99_per_cent": {
             "slope_deg": np.rad2deg(slope),
-            "status": status,
-            "settling_time_s": runs["tuned to climb"].metrics.settling_time,
-            "peak_torque_Nm": runs["tuned to climb"].metrics.peak_torque,
-            "table_3": js.Status(int(runs["Table 3"].status)).name.lower(),
+            "status": ends["tuned to climb"],
+            "settling_time_s": settling,
+            "peak_torque_Nm": best.metrics.peak_torque,
+            "table_3": ends["Table 3"],
         },
         "summary": [
-            f"gains tuned to climb: {float(np.rad2deg(scored.value)):.4f} deg, {100 * float(scored.value) / found.static_bound:.3f} % of "
-            f"the static bound, with the hard sign, 1 kHz hold, 5 N m",
-            f"at 99 %, {float(np.rad2deg(slope)):.3f} deg: {status} after "
-            f"{float(runs['tuned to climb'].metrics.settling_time):.1f} s (Table 3: "
-            f"{js.Status(int(runs['Table 3'].status)).name.lower().replace('_', ' ')})",
+            f"gains tuned to climb: {float(np.rad2deg(scored.value)):.4f} deg, {100.0 * share:.3f} % of the static bound, with "
+            "the hard sign, 1 kHz hold, 5 N m",
+            f"at 99 %, {float(np.rad2deg(slope)):.3f} deg: {ends['tuned to climb']}, settled after {settling:.1f} s (Table 3: "
+            f"{ends['Table 3'].replace('_', ' ')})",
         ],
     }

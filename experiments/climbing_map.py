@@ -12,7 +12,7 @@ import numpy as np
 from tqdm.auto import tqdm
 
 import jaxsphere as js
-from jaxsphere.checks import require_choice, require_count, require_scalar
+from experiments.climbing_axes import Axis, Setting, at, of_climb
 from jaxsphere.models import planar
 from jaxsphere.simulation.refinement import refine
 
@@ -22,122 +22,6 @@ _CHUNKS = (512, 4096, 16384)
 _COARSEST = 16
 # Share of the static bound where the first level looks first.
 _FIRST_GUESS = 0.97
-# Time steps that divide a minute, s, and the largest product with a rate (1/s); RK4 is stable up to 2.78.
-_STEPS = (15e-3, 12e-3, 10e-3, 8e-3, 6e-3, 5e-3, 4e-3, 3e-3, 2e-3, 1e-3)
-_STABLE = 2.2
-
-
-class Setting(NamedTuple):
-    """One point of a map: what climbs, and for outcomes on which slope (rad)."""
-
-    climb: js.Climb = js.Climb()
-    slope: Any = 0.17453292519943295  # 10 degrees
-    dtype: str = "float64"
-
-
-def _of_climb(name: str) -> Callable[[Setting, Any], Setting]:
-    return lambda setting, value: setting._replace(climb=replace(setting.climb, **{name: value}))
-
-
-def _of_gains(name: str) -> Callable[[Setting, Any], Setting]:
-    return lambda setting, value: _of_climb("gains")(setting, replace(setting.climb.gains, **{name: value}))
-
-
-def _of_robot(name: str) -> Callable[[Setting, Any], Setting]:
-    return lambda setting, value: _of_climb("robot")(setting, replace(setting.climb.robot, **{name: value}))
-
-
-def _slope(setting: Setting, value: Any) -> Setting:
-    return setting._replace(slope=value)
-
-
-def _push(setting: Setting, value: Any) -> Setting:
-    return _of_climb("disturbance")(setting, jnp.zeros(4).at[1].set(value))
-
-
-def _mass_ratio(setting: Setting, value: Any) -> Setting:
-    """Move mass between pendulum and shell, whose moment follows; the total stays."""
-    robot = setting.climb.robot
-    pendulum = value * planar.total_mass(robot)
-    shell = planar.total_mass(robot) - robot.gimbal_mass - pendulum
-    inertia = robot.shell_inertia * (shell / robot.shell_mass)
-    return _of_climb("robot")(setting, replace(robot, pendulum_mass=pendulum, shell_mass=shell, shell_inertia=inertia))
-
-
-def _length_ratio(setting: Setting, value: Any) -> Setting:
-    return _of_robot("pendulum_length")(setting, value * setting.climb.robot.shell_radius)
-
-
-def stable_step(climb: js.Climb, *axes: Axis) -> float:
-    """Largest usual time step (s) with which RK4 stays stable within the smoothed sign, for every point of the axes.
-
-    Raises:
-        ValueError: the sign is hard and the controller continuous, or no usual step is short enough.
-    """
-    largest = {name: float(getattr(climb.gains, name)) for name in ("eta", "k", "c2")}
-    largest |= {which.name: float(which.values.max()) for which in axes if which.name in largest}
-    smoothing = float(climb.smoothing)
-    if climb.control_period is not None:
-        return float(climb.control_period)
-    if smoothing == 0.0:
-        raise ValueError("smoothing = 0 needs a sampled controller; type --control-period 1e-3")
-    rate = largest["eta"] / smoothing + largest["k"] + largest["c2"]
-    for step in _STEPS:
-        if step * rate <= _STABLE:
-            return step
-    raise ValueError(f"smoothing = {smoothing:g} rad/s is too narrow for eta = {largest['eta']:g} rad/s2; type a larger one")
-
-
-class Quantity(NamedTuple):
-    """A parameter that can be an axis: its label, the range drawn by default, and how it enters a setting."""
-
-    label: str
-    low: float
-    high: float
-    enter: Callable[[Setting, Any], Setting]
-
-
-QUANTITIES = {
-    "c1": Quantity("gain c1 (1/s)", 0.2, 1.5, _of_gains("c1")),
-    "c2": Quantity("gain c2 (1/s)", 1.0, 8.0, _of_gains("c2")),
-    "z_u": Quantity("largest asked swing z_U (rad)", 0.05, 0.98, _of_gains("z_u")),
-    "phi_z": Quantity("width Φ_z (rad/s)", 2.0, 20.0, _of_gains("phi_z")),
-    "eta": Quantity("switching gain η (rad/s²)", 0.5, 10.0, _of_gains("eta")),
-    "k": Quantity("reaching gain k (1/s)", 0.2, 10.0, _of_gains("k")),
-    "pendulum_mass": Quantity("pendulum mass m_p (kg)", 0.5, 6.0, _of_robot("pendulum_mass")),
-    "shell_mass": Quantity("shell mass m (kg)", 0.3, 4.0, _of_robot("shell_mass")),
-    "gimbal_mass": Quantity("gimbal mass m_i (kg)", 0.3, 4.0, _of_robot("gimbal_mass")),
-    "pendulum_length": Quantity("pendulum length l (m)", 0.03, 0.145, _of_robot("pendulum_length")),
-    "mass_ratio": Quantity("pendulum mass / total mass", 0.05, 0.6, _mass_ratio),
-    "length_ratio": Quantity("pendulum length / shell radius", 0.2, 0.95, _length_ratio),
-    "torque_limit": Quantity("torque limit (N m)", 0.5, 4.0, _of_climb("torque_limit")),
-    "travel": Quantity("travel (rad)", 1.0, 40.0, _of_climb("travel")),
-    "push": Quantity("rate of the sphere at the start (rad/s)", -2.0, 2.0, _push),
-    "slope": Quantity("slope γ (rad)", 0.0, 0.34, _slope),
-}
-
-
-class Axis(NamedTuple):
-    """One axis of a map: the name of a quantity and evenly spaced values."""
-
-    name: str
-    values: np.ndarray
-
-    @property
-    def label(self) -> str:
-        """Words and unit for a picture."""
-        return QUANTITIES[self.name].label
-
-
-def axis(name: str, count: int, low: float | None = None, high: float | None = None) -> Axis:
-    """Axis of `count` values from `low` to `high`. Raises ValueError for an unknown name or an empty range."""
-    require_choice("axis", name, tuple(QUANTITIES))
-    require_count("size", count)
-    quantity = QUANTITIES[name]
-    first, last = (quantity.low if low is None else low), (quantity.high if high is None else high)
-    require_scalar(f"{name} axis begins at", first)
-    require_scalar(f"{name} axis ends at", last, above=first)
-    return Axis(name, np.linspace(first, last, count))
 
 
 class BoundMap(NamedTuple):
@@ -164,7 +48,7 @@ def bound_map(setting: Setting, x: Axis, y: Axis, tolerance: float = 1e-3, progr
     value, lower, upper = (np.full(shape, np.nan) for _ in range(3))
     status, done = np.full(shape, -1), np.zeros(shape, bool)
     run = js.over_queue(
-        lambda xv, yv, guess: js.slope_search(_at(setting, (x, xv), (y, yv)).climb, tolerance, guess, setting.dtype)
+        lambda xv, yv, guess: js.slope_search(at(setting, (x, xv), (y, yv)).climb, tolerance, guess, setting.dtype)
     )
     rollouts, seconds = 0, 0.0
     finished = True
@@ -187,12 +71,6 @@ def bound_map(setting: Setting, x: Axis, y: Axis, tolerance: float = 1e-3, progr
     return BoundMap(x, y, value, lower, upper, status, rollouts, seconds, finished)
 
 
-def _at(setting: Setting, *entries: tuple[Axis, Any]) -> Setting:
-    for which, value in entries:
-        setting = QUANTITIES[which.name].enter(setting, value)
-    return setting
-
-
 def _chunk(count: int) -> int:
     return next((size for size in _CHUNKS if count <= size), _CHUNKS[-1])
 
@@ -213,7 +91,7 @@ def confirm(setting: Setting, found: BoundMap, sample: int, seed: int = 0) -> tu
     chosen = np.random.default_rng(seed).permutation(len(rows))[:sample]
     r, c = rows[chosen], columns[chosen]
     climb = replace(setting.climb, dt=min(1e-3, setting.climb.dt), early=False)
-    full = js.over_queue(lambda xv, yv, slope: _outcome(_at(Setting(climb, slope), (found.x, xv), (found.y, yv))))
+    full = js.over_queue(lambda xv, yv, slope: _outcome(at(Setting(climb, slope), (found.x, xv), (found.y, yv))))
     xv, yv = found.x.values[c], found.y.values[r]
     low = full(xv, yv, found.lower[r, c]).status == js.Status.OK
     # Nothing was seen to fail where the bracket ends at the bound (4).
@@ -222,11 +100,30 @@ def confirm(setting: Setting, found: BoundMap, sample: int, seed: int = 0) -> tu
     return int(low.sum() + (high & seen).sum()), int(len(r) + seen.sum())
 
 
+def not_monotone(setting: Setting, found: BoundMap, sample: int, slopes: int = 50, seed: int = 0) -> tuple[int, int]:
+    """Count random nodes whose climbs change more than once between settling and failing from the flat to the bound (4).
+
+    Returns their number and that of the nodes looked at. Bisection has found one of their changes.
+    """
+    rows, columns = np.nonzero(np.isfinite(found.value))
+    chosen = np.random.default_rng(seed).permutation(len(rows))[:sample]
+    xv, yv = found.x.values[columns[chosen]], found.y.values[rows[chosen]]
+
+    def along(xv: Any, yv: Any, share: Any) -> Any:
+        here = at(setting, (found.x, xv), (found.y, yv))
+        return _outcome(here._replace(slope=share * js.climbing_bound(here.climb.robot)))
+
+    shares = np.linspace(0.0, 0.999, slopes)
+    lanes = (*(np.repeat(values, slopes) for values in (xv, yv)), np.tile(shares, len(chosen)))
+    settled = (js.over_queue(along)(*lanes).status == js.Status.OK).reshape(len(chosen), slopes)
+    return int(np.sum(np.sum(settled[:, 1:] != settled[:, :-1], axis=1) > 1)), len(chosen)
+
+
 def _static_bounds(setting: Setting, x: Axis, y: Axis) -> np.ndarray:
     """Steepest slope (rows, columns) that pendulum and motor hold statically: (4), and M g r sin(gamma) = torque limit."""
 
     def bound(xv: Any, yv: Any) -> Any:
-        here = _at(setting, (x, xv), (y, yv))
+        here = at(setting, (x, xv), (y, yv))
         limit = jnp.inf if here.climb.torque_limit is None else here.climb.torque_limit
         weight = planar.total_mass(here.climb.robot) * here.climb.robot.gravity * here.climb.robot.shell_radius
         return jnp.minimum(js.climbing_bound(here.climb.robot), jnp.arcsin(jnp.minimum(limit / weight, 1.0)))
@@ -280,8 +177,8 @@ def outcome_map(setting: Setting, x: Axis, y: Axis, coarse: int | None = 16) -> 
 
     A climb that fails under the torque limit is run again without it: where it then settles the motor is to blame.
     """
-    limited = js.over_queue(lambda xv, yv: _outcome(_at(setting, (x, xv), (y, yv))))
-    unlimited = js.over_queue(lambda xv, yv: _outcome(_of_climb("torque_limit")(_at(setting, (x, xv), (y, yv)), None)))
+    limited = js.over_queue(lambda xv, yv: _outcome(at(setting, (x, xv), (y, yv))))
+    unlimited = js.over_queue(lambda xv, yv: _outcome(of_climb("torque_limit")(at(setting, (x, xv), (y, yv)), None)))
     has_limit = setting.climb.torque_limit is not None or "torque_limit" in (x.name, y.name)
 
     def evaluate(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

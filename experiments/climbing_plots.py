@@ -41,7 +41,7 @@ def static_figure(robots: dict[str, js.Robot]) -> Figure:
     panel.clabel(lines, fmt="%g°", fontsize=8)
     for (name, robot), marker in zip(robots.items(), "osD^v", strict=False):
         at = robot.pendulum_length / robot.shell_radius, robot.pendulum_mass / planar.total_mass(robot)
-        words = f"{name}, {np.rad2deg(float(js.climbing_bound(robot))):.1f}°"
+        words = f"{name.replace('_', ' ')}, {np.rad2deg(float(js.climbing_bound(robot))):.1f}°"
         panel.plot(*at, marker, color="white", markeredgecolor="black", markersize=8, label=words)
     fig.colorbar(shading, ax=panel, label="steepest slope held statically, (4) (deg)")
     name_axes(panel, "pendulum length / shell radius", "pendulum mass / total mass")
@@ -86,7 +86,7 @@ def bound_figure(found: BoundMap, title: str, mark: tuple[float, float, str] | N
             panel.plot(*mark[:2], "*", color="white", markeredgecolor="black", markersize=12, label=mark[2])
         name_axes(panel, found.x.label, found.y.label, legend=False)
     if mark is not None:
-        surface.legend(fontsize=8, loc="lower right", frameon=True)
+        surface.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16))
     fig.suptitle(title)
     return fig
 
@@ -114,7 +114,7 @@ def _extent(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float]:
 
 
 def _draw_classes(
-    panel: Axes, codes: np.ndarray, extent: tuple[float, ...], title: str, more: dict[int, tuple[str, str]]
+    panel: Axes, codes: np.ndarray, extent: tuple[float, float, float, float], title: str, more: dict[int, tuple[str, str]]
 ) -> None:
     known = {int(code): look for code, look in (more | CLASSES).items()}
     present = [code for code in known if np.any(codes == code)]
@@ -125,7 +125,7 @@ def _draw_classes(
     norm = BoundaryNorm(np.arange(len(present) + 1) - 0.5, len(present))
     panel.imshow(rank, origin="lower", extent=extent, aspect="auto", cmap=colours, norm=norm, interpolation="nearest")
     patches = [Patch(facecolor=known[code][1], edgecolor="0.3", label=known[code][0]) for code in present]
-    panel.legend(handles=patches, fontsize=8, frameon=True, loc="lower right")
+    panel.legend(handles=patches, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
     panel.set_title(title, fontsize=9)
 
 

@@ -42,6 +42,7 @@ from jaxsphere.simulation.pausable import over_queue  # noqa: E402
 from jaxsphere.simulation.rollout import Measure, Plant, Trajectory, rollout  # noqa: E402
 from jaxsphere.tasks import (  # noqa: E402
     Climb,
+    check_climb,
     climb_outcome,
     outcome_run,
     require_holdable,
@@ -69,6 +70,7 @@ __all__ = [
     "SlidingModeGains",
     "Status",
     "Trajectory",
+    "check_climb",
     "check_robot",
     "climb_outcome",
     "climbing",

@@ -90,8 +90,8 @@ def unstable_direction(climb: js.Climb, slope: float) -> tuple[float, np.ndarray
         return jnp.stack(planar.derivative(lumped, parts, (now.equivalent + now.switching,)))
 
     poles, vectors = np.linalg.eig(np.asarray(jax.jacfwd(motion)(saddle(climb, slope))).T)
-    index = int(np.argmax(poles.real))
-    return float(poles[index].real), vectors[:, index].real
+    index = int(np.argmax(np.real(poles)))
+    return float(np.real(poles[index])), np.real(vectors[:, index])
 
 
 def climb_sensitivity(climb: js.Climb, names: Sequence[str] = (*GAINS, *DESIGN), tolerance: float = 1e-10) -> Sensitivity:
@@ -107,7 +107,9 @@ def climb_sensitivity(climb: js.Climb, names: Sequence[str] = (*GAINS, *DESIGN),
     _require_smooth(climb)
     bound = js.steepest_slope(climb, tolerance)
     if int(bound.status) == js.Status.OK or not np.isfinite(float(bound.value)):
-        raise ValueError("gamma* of this climb is the bound (4) itself or does not exist; type another climb, e.g. longer travel")
+        raise ValueError(
+            "gamma* of this climb is the bound (4) itself or does not exist; type another climb, e.g. longer travel"
+        )
     slope = float(bound.value)
     too_slow = int(bound.status) == js.Status.NOT_SETTLED
     time = climb.duration if too_slow else _parting_time(climb, float(bound.lower), float(bound.upper))
@@ -119,7 +121,9 @@ def climb_sensitivity(climb: js.Climb, names: Sequence[str] = (*GAINS, *DESIGN),
     return Sensitivity(tuple(names), np.asarray(-by_logarithm / by_slope), slope, mode, time, ends)  # type: ignore[arg-type]
 
 
-def sensitivity_by_differences(climb: js.Climb, names: Sequence[str], step: float = 1e-3, tolerance: float = 1e-9) -> np.ndarray:
+def sensitivity_by_differences(
+    climb: js.Climb, names: Sequence[str], step: float = 1e-3, tolerance: float = 1e-9
+) -> np.ndarray:
     """Central differences (n,) of the bisected gamma* over `step` in the logarithms of the named quantities, rad."""
     size = len(names)
     run = js.over_queue(lambda logarithms: js.slope_search(scaled(climb, names, logarithms), tolerance))
@@ -231,7 +235,7 @@ def tune_to_climb(
             steps * dt,
             dt,
             smoothing,
-            climb.torque_limit,
+            None if climb.torque_limit is None else float(climb.torque_limit),
             weights=Weights(swing=0.0, prior=0.003),
         )
         gains = tune(objective, climb.gains, optimiser="lm", iterations=iterations, progress=progress).gains

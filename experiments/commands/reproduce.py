@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import jaxsphere as js
-from experiments import fig4, fig5
+from experiments import bound, fig4, fig5
 from experiments.records import Record
 from jaxsphere.checks import require_choice
 
-EXPERIMENTS = {"fig4": fig4.reproduce, "fig5": fig5.reproduce}
+EXPERIMENTS = {"fig4": fig4.reproduce, "fig5": fig5.reproduce, "bound": bound.reproduce}
 
 
 def reproduce(names: tuple[str, ...], out: str, progress: bool) -> None:

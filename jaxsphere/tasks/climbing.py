@@ -152,7 +152,7 @@ def in_seconds(search: Pausable, segment: Real) -> Pausable:
 
     def result(carry: Any) -> SteepestSlope:
         bound = search.result(carry)
-        return SteepestSlope(*bound[:5], bound.segments * segment)
+        return SteepestSlope(bound.value, bound.lower, bound.upper, bound.status, bound.trials, bound.segments * segment)
 
     return search._replace(result=result)
 
@@ -205,7 +205,7 @@ def _climb_trial(climb: Climb) -> Trial:
     def start(slope: Array) -> tuple[tuple[Array, ...], tuple[Array, ...], Array]:
         rest = (zero, zero, climbing.equilibrium_swing(robot, slope), zero)
         if climb.disturbance is not None:
-            rest = tuple(x + push for x, push in zip(rest, climb.disturbance, strict=True))
+            rest = tuple(x + push for x, push in zip(rest, jnp.asarray(climb.disturbance), strict=True))
         return rest, (zero,), jnp.zeros((), jnp.int32)
 
     def advance(slope: Array, carry: tuple[tuple[Array, ...], tuple[Array, ...], Array]) -> tuple[Any, Array, Array]:
@@ -219,7 +219,7 @@ def _climb_trial(climb: Climb) -> Trial:
             steps=steps,
             save_every=None,
             hold=None if hold is None else jnp.int32(hold),
-            torque_limit=climb.torque_limit,
+            torque_limit=None if climb.torque_limit is None else jnp.asarray(climb.torque_limit),
         )
         state, count = tuple(trajectory.state[-1]), count + 1
         error = jnp.abs(state[0] - travel)

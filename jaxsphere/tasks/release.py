@@ -59,7 +59,7 @@ def _static(robot: Robot, tolerance: Array, offset: Array) -> SteepestSlope:
 
         def hold(time: Array, state: planar.State, memory: tuple[Array, ...]) -> Command:
             del time, state, memory
-            return Command((lumped.slope_torque,), (), code(Status.OK))
+            return Command((jnp.asarray(lumped.slope_torque),), (), code(Status.OK))
 
         plant = planar_plant(robot, slope, zero, zero)
         trajectory = rollout(plant, hold, state, dt=dt, steps=_RELEASE_STEPS, save_every=None)
