@@ -46,16 +46,17 @@ def random_robots(count: int, seed: int = 0) -> js.Robot:
     rng = np.random.default_rng(seed)
     masses = 10.0 ** rng.uniform(-1.0, 1.0, (3, count))
     radius = 10.0 ** rng.uniform(np.log10(0.05), 0.0, count)
-    return js.Robot(
-        shell_mass=masses[0],
-        gimbal_mass=masses[1],
-        pendulum_mass=masses[2],
-        shell_inertia=np.repeat((2.0 / 3.0 * masses[0] * radius**2)[:, None], 3, axis=1),  # type: ignore[arg-type]
-        gimbal_inertia=np.repeat((0.1 * masses[1] * radius**2)[:, None], 3, axis=1),  # type: ignore[arg-type]
-        pendulum_length=radius * rng.uniform(0.1, 0.95, count),
-        shell_radius=radius,
-        gravity=rng.uniform(1.6, 9.9, count),
-    )
+    drawn = {
+        "shell_mass": masses[0],
+        "gimbal_mass": masses[1],
+        "pendulum_mass": masses[2],
+        "shell_inertia": np.repeat((2.0 / 3.0 * masses[0] * radius**2)[:, None], 3, axis=1),
+        "gimbal_inertia": np.repeat((0.1 * masses[1] * radius**2)[:, None], 3, axis=1),
+        "pendulum_length": radius * rng.uniform(0.1, 0.95, count),
+        "shell_radius": radius,
+        "gravity": rng.uniform(1.6, 9.9, count),
+    }
+    return js.Robot(**{name: jnp.asarray(values) for name, values in drawn.items()})
 
 
 def _release(record: Record) -> dict[str, Any]:
@@ -96,8 +97,8 @@ def _table_3() -> dict[str, Any]:
 def random_gains(count: int, seed: int = 0) -> js.SlidingModeGains:
     """Gains evenly spread in their logarithms over `tuning.BOUNDS`."""
     rng = np.random.default_rng(seed)
-    drawn = {name: np.exp(rng.uniform(*np.log(ends), count)) for name, ends in tuning.BOUNDS.items()}
-    return js.SlidingModeGains(**drawn, k_i=np.zeros(count))
+    drawn = {name: np.exp(rng.uniform(np.log(low), np.log(high), count)) for name, (low, high) in tuning.BOUNDS.items()}
+    return js.SlidingModeGains(**{name: jnp.asarray(values) for name, values in drawn.items()}, k_i=jnp.zeros(count))
 
 
 def _scan(slopes: int = 150, sets: int = 64) -> dict[str, Any]:

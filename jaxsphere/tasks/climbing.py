@@ -227,10 +227,10 @@ def _climb_trial(climb: Climb) -> Trial:
         over = count >= segments
         inside = error <= SETTLING_BAND * jnp.abs(travel)
         status = jnp.where(ended | inside, trajectory.status, code(Status.NOT_SETTLED))
+        lost = error > _LOST * jnp.maximum(jnp.abs(travel), 10.0)
+        status = jnp.where(lost & ~ended, code(Status.DIVERGED), status)
         decided = ended | over
         if climb.early:
-            lost = error > _LOST * jnp.maximum(jnp.abs(travel), 10.0)
-            status = jnp.where(lost & ~ended, code(Status.DIVERGED), status)
             decided = decided | lost
             if climb.plant is None:
                 decided = decided | _has_settled(climb, slope, state)
