@@ -1,5 +1,6 @@
 """Gains by gradients through rollouts."""
 
+from tuning.climbing import ClimbTuning, Sensitivity, climb_sensitivity, sensitivity_by_differences, tune_to_climb
 from tuning.following import FollowLine
 from tuning.health import audit_sign, check_gradient, lyapunov_exponent, stiff_and_sloppy
 from tuning.objectives import BOUNDS, RestToRest, Term, Terms, Weights
@@ -23,6 +24,11 @@ __all__ = [
     "lyapunov_exponent",
     "stiff_and_sloppy",
     "Certificate",
+    "ClimbTuning",
+    "Sensitivity",
+    "climb_sensitivity",
+    "sensitivity_by_differences",
+    "tune_to_climb",
     "Robust",
     "Scenarios",
     "Uncertainty",
