@@ -189,7 +189,9 @@ def _sensitivities(record: Record) -> dict[str, Any]:
 
 
 def _tuned(record: Record, progress: bool) -> dict[str, Any]:
-    found = climbing.tune_to_climb(js.Climb(dt=4e-3, torque_limit=TORQUE_LIMIT), progress=progress)
+    found = climbing.tune_to_climb(
+        replace(QUICK, torque_limit=TORQUE_LIMIT), rounds=3, iterations=20, dt=2e-2, progress=progress
+    )
     scored = js.steepest_slope(js.Climb(gains=found.gains, **SCORING), 1e-6, found.bounds[-1])
     slope = SHARE * found.static_bound
     hard = {name: value for name, value in SCORING.items() if name != "early"} | {

@@ -44,7 +44,7 @@ def static_figure(robots: dict[str, js.Robot]) -> Figure:
         words = f"{name.replace('_', ' ')}, {np.rad2deg(float(js.climbing_bound(robot))):.1f}°"
         panel.plot(*at, marker, color="white", markeredgecolor="black", markersize=8, label=words)
     fig.colorbar(shading, ax=panel, label="steepest slope held statically, (4) (deg)")
-    name_axes(panel, "pendulum length / shell radius", "pendulum mass / total mass")
+    name_axes(panel, "pendulum length / shell radius", "pendulum mass / total mass", "bound (4) and published robots")
     legend = panel.legend(fontsize=8, loc="lower left", framealpha=0.9, frameon=True)
     legend.set_zorder(5)
     panel.grid(False)
@@ -80,7 +80,7 @@ def bound_figure(found: BoundMap, title: str, mark: tuple[float, float, str] | N
         surface.clabel(lines, fmt="%.3g°", fontsize=7)
     fig.colorbar(image, ax=surface, label="closed-loop bound γ* (deg)")
     shown = np.where(np.isnan(found.value), -1, found.status)
-    _draw_classes(fate, shown, extent, "just above γ*", {-1: ("flat not climbed, or not done", "#d9d9d9")})
+    _draw_classes(fate, shown, extent, "how climbs end just above γ*", {-1: ("flat not climbed, or not done", "#d9d9d9")})
     for panel in (surface, fate):
         if mark is not None:
             panel.plot(*mark[:2], "*", color="white", markeredgecolor="black", markersize=12, label=mark[2])
@@ -161,6 +161,7 @@ def sensitivity_figure(found: Sensitivity, differences: np.ndarray, static: np.n
         panel.set_xscale(scale)
     name_axes(axes[0, 0], "change of the bound for +1 % (deg)", "")
     name_axes(axes[0, 1], "its size, logarithmic (deg)", "", legend=False)
+    axes[0, 0].legend(fontsize=8, loc="lower left")
     axes[0, 0].axvline(0.0, color="0.4", linewidth=0.8)
     axes[0, 1].set_xlim(1e-6, 1.0)
     fig.suptitle(f"What raises the closed-loop bound of Table 3, γ* = {np.rad2deg(found.slope):.4f}°")
@@ -176,11 +177,11 @@ def climb_figure(title: str, runs: Sequence[tuple[str, js.Trajectory]], robot: j
     swing.axhline(np.rad2deg(float(both.lower)), color="0.4", linewidth=0.8, label="φ0")
     swing.axhline(np.rad2deg(float(both.upper)), color="0.4", linewidth=0.8, linestyle=":", label="π − φ0")
     for (name, run), style in zip(runs, STYLES, strict=False):
-        keep = np.asarray(run.time) <= float(run.end_time)
+        keep = np.asarray(run.time) < float(run.end_time)
         time, state = np.asarray(run.time)[keep], np.asarray(run.state)[keep]
         angle.plot(time, state[:, 0], label=name, **style)
         swing.plot(time, np.rad2deg(state[:, 2]), label=name, **style)
-        torque.plot(time, np.asarray(run.torque)[keep, 0], label=name, **{**style, "linewidth": 0.7})
+        torque.plot(time, np.asarray(run.torque)[keep, 0], label=name, **{**style, "linewidth": 0.5})
     angle.set_ylim(-1.0 * travel, 1.3 * travel)
     name_axes(angle, "time (s)", "sphere angle α (rad)")
     name_axes(swing, "time (s)", "swing φ (deg)")
