@@ -108,7 +108,7 @@ def _scan(slopes: int = 150, sets: int = 64) -> dict[str, Any]:
     gains = jax.tree.map(lambda table, drawn: np.concatenate([[table], drawn]), js.SlidingModeGains(), gains)
     lanes = jax.tree.map(lambda leaf: np.repeat(leaf, slopes), gains)
     slope = np.tile(np.linspace(0.0, bound, slopes), sets + 1)
-    run = js.over_queue(lambda gains, slope: js.outcome_run(replace(QUICK, gains=gains, dt=4e-3), slope))
+    run = js.over_queue(lambda gains, slope: js.outcome_run(replace(QUICK, gains=gains, dt=5e-3), slope))
     settled = (run(lanes, slope).status == js.Status.OK).reshape(sets + 1, slopes)
     changes = np.sum(settled[:, 1:] != settled[:, :-1], axis=1)
     odd = np.flatnonzero(changes > 1)
@@ -144,7 +144,7 @@ def _bound_map(record: Record, progress: bool, size: int = 64, sample: int = 64)
     }
 
 
-def _outcome_maps(record: Record, size: int = 192) -> dict[str, Any]:
+def _outcome_maps(record: Record, size: int = 160) -> dict[str, Any]:
     x, y = axes.axis("torque_limit", size), axes.axis("slope", size)
     setting = axes.Setting(QUICK)
     refined = maps.outcome_map(setting, x, y)
@@ -168,7 +168,7 @@ def _outcome_maps(record: Record, size: int = 192) -> dict[str, Any]:
 
 def _sensitivities(record: Record) -> dict[str, Any]:
     found = climbing.climb_sensitivity(QUICK, tolerance=1e-9)
-    differences = climbing.sensitivity_by_differences(QUICK, found.names)
+    differences = climbing.sensitivity_by_differences(QUICK, found.names, tolerance=1e-8)
     none = jnp.zeros(len(found.names))
     static = jax.jacfwd(lambda logarithms: js.climbing_bound(climbing.scaled(QUICK, found.names, logarithms).robot))(none)
     record.picture("bound_sensitivity", plots.sensitivity_figure(found, differences, np.asarray(static)))
@@ -190,7 +190,7 @@ def _sensitivities(record: Record) -> dict[str, Any]:
 
 def _tuned(record: Record, progress: bool) -> dict[str, Any]:
     found = climbing.tune_to_climb(
-        replace(QUICK, torque_limit=TORQUE_LIMIT), rounds=3, iterations=20, dt=2e-2, progress=progress
+        replace(QUICK, torque_limit=TORQUE_LIMIT), rounds=3, iterations=15, dt=2e-2, progress=progress
     )
     scored = js.steepest_slope(js.Climb(gains=found.gains, **SCORING), 1e-6, found.bounds[-1])
     slope = SHARE * found.static_bound
