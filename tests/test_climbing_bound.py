@@ -62,6 +62,12 @@ def test_nothing_found_where_the_lowest_value_fails_and_the_end_where_none_does(
     assert int(everything.status) == Status.OK
 
 
+def test_a_tolerance_below_the_last_digit_ends_too():
+    found = search(3.0, tolerance=1e-30)
+    assert found.lower < 3.0 <= found.upper
+    assert found.upper - found.lower < 1e-15
+
+
 def test_queue_gives_every_lane_what_it_gets_alone(rng):
     at = rng.uniform(0.0, 9.0, 21)
     make = lambda fails: largest_success(staircase(fails, 5.0), jnp.asarray(0.0), jnp.asarray(8.0), jnp.asarray(1e-2))  # noqa: E731

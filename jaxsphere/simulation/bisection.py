@@ -23,6 +23,8 @@ from jaxsphere.simulation.pausable import Pausable
 
 # Factor by which the step grows while the bracket is still open on one side.
 _GROWTH = 4.0
+# More than a double has digits.
+_MOST_TRIALS = 100
 
 
 class Trial(NamedTuple):
@@ -81,7 +83,7 @@ def largest_success(
 
     Args:
         trial: the simulation. low, high: ends of the search interval; the answer is never above `high`, which is not tried.
-        tolerance: width of the last bracket. guess: where to look first, the middle by default. step: how far from a guess to
+        tolerance: width of the last bracket, wider where numbers have no more digits. guess: where to look first, the middle by default. step: how far from a guess to
         look next, growing by 4 until the bracket is closed; by default the interval's end.
     """
     span = high - low
@@ -142,6 +144,6 @@ def _learn(search: _Search, status: Array, low: Array, high: Array, tolerance: A
         step=_GROWTH * search.step,
         value=value,
         trials=search.trials + 1,
-        # Where the lowest value of all has failed there is nothing left to find.
-        done=(low_known & (new_high - new_low <= tolerance)) | (new_high <= low),
+        # Where the lowest value of all has failed there is nothing left to find; a tolerance may be below the last digit.
+        done=(low_known & (new_high - new_low <= tolerance)) | (new_high <= low) | (search.trials + 1 >= _MOST_TRIALS),
     )
