@@ -16,8 +16,8 @@ from experiments.climbing_axes import Axis, Setting, at, of_climb
 from jaxsphere.models import planar
 from jaxsphere.simulation.refinement import refine
 
-# Lanes per call of the compiled program: few numbers, so that it compiles few times.
-_CHUNKS = (512, 4096, 16384)
+# Lanes per call: as many as are done between two moves of the progress bar.
+_CHUNK = 16384
 # Nodes between those of the first level of a map of gamma*.
 _COARSEST = 16
 # Share of the static bound where the first level looks first.
@@ -48,19 +48,18 @@ def bound_map(setting: Setting, x: Axis, y: Axis, tolerance: float = 1e-3, progr
     value, lower, upper = (np.full(shape, np.nan) for _ in range(3))
     status, done = np.full(shape, -1), np.zeros(shape, bool)
     run = js.over_queue(
-        lambda xv, yv, guess: js.slope_search(at(setting, (x, xv), (y, yv)).climb, tolerance, guess, setting.dtype)
+        lambda xv, yv, guess: js.slope_search(at(setting, (x, xv), (y, yv)).climb, tolerance, guess, setting.dtype),
+        capacity=_CHUNK,
     )
     rollouts, seconds = 0, 0.0
     finished = True
     with tqdm(total=value.size, desc="map", unit="bound", disable=not progress) as bar:
         try:
             for rows, columns, guess in _levels(value, done, _static_bounds(setting, x, y)):
-                size = _chunk(len(rows))
-                for start in range(0, len(rows), size):
-                    part = slice(start, start + size)
+                for start in range(0, len(rows), _CHUNK):
+                    part = slice(start, start + _CHUNK)
                     r, c = rows[part], columns[part]
-                    lanes = (x.values[c], y.values[r], guess[part])
-                    found = _padded(run, size, *lanes)
+                    found = run(x.values[c], y.values[r], guess[part])
                     value[r, c], status[r, c], done[r, c] = found.value, found.status, True
                     lower[r, c], upper[r, c] = found.lower, found.upper
                     rollouts += int(found.rollouts.sum())
@@ -69,17 +68,6 @@ def bound_map(setting: Setting, x: Axis, y: Axis, tolerance: float = 1e-3, progr
         except KeyboardInterrupt:
             finished = False
     return BoundMap(x, y, value, lower, upper, status, rollouts, seconds, finished)
-
-
-def _chunk(count: int) -> int:
-    return next((size for size in _CHUNKS if count <= size), _CHUNKS[-1])
-
-
-def _padded(run: Callable[..., Any], size: int, *lanes: np.ndarray) -> Any:
-    """Run `lanes` with the last one repeated up to `size`, and return the results of the real ones on the host."""
-    count = len(lanes[0])
-    found = run(*(np.concatenate([leaf, np.repeat(leaf[-1:], size - count, axis=0)]) for leaf in lanes))
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[:count], found)
 
 
 def confirm(setting: Setting, found: BoundMap, sample: int, seed: int = 0) -> tuple[int, int]:
@@ -177,8 +165,10 @@ def outcome_map(setting: Setting, x: Axis, y: Axis, coarse: int | None = 16) -> 
 
     A climb that fails under the torque limit is run again without it: where it then settles the motor is to blame.
     """
-    limited = js.over_queue(lambda xv, yv: _outcome(at(setting, (x, xv), (y, yv))))
-    unlimited = js.over_queue(lambda xv, yv: _outcome(of_climb("torque_limit")(at(setting, (x, xv), (y, yv)), None)))
+    limited = js.over_queue(lambda xv, yv: _outcome(at(setting, (x, xv), (y, yv))), capacity=_CHUNK)
+    unlimited = js.over_queue(
+        lambda xv, yv: _outcome(of_climb("torque_limit")(at(setting, (x, xv), (y, yv)), None)), capacity=_CHUNK
+    )
     has_limit = setting.climb.torque_limit is not None or "torque_limit" in (x.name, y.name)
 
     def evaluate(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -199,9 +189,7 @@ def outcome_map(setting: Setting, x: Axis, y: Axis, coarse: int | None = 16) -> 
 
 
 def _in_chunks(run: Callable[..., Any], *lanes: np.ndarray) -> np.ndarray:
-    count = len(lanes[0])
-    size = _chunk(count)
-    parts = [_padded(run, size, *(leaf[i : i + size] for leaf in lanes)) for i in range(0, count, size)]
+    parts = [run(*(leaf[i : i + _CHUNK] for leaf in lanes)) for i in range(0, len(lanes[0]), _CHUNK)]
     return np.concatenate([part.status for part in parts]).astype(np.int64)
 
 

@@ -1,5 +1,7 @@
 """How steep a closed loop climbs: fates, bisection, the bound (4) by release, and steps."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import jax
@@ -76,6 +78,28 @@ def test_queue_gives_every_lane_what_it_gets_alone(rng):
         queued = js.over_queue(make, slots)(at)
         for ours, theirs in zip(queued, alone, strict=True):
             np.testing.assert_array_equal(ours, theirs)
+
+
+def test_queues_of_any_length_share_one_program_and_two_devices():
+    program = """
+import jax, jax.numpy as jnp, numpy as np
+jax.config.update("jax_num_cpu_devices", 2)
+import jaxsphere as js
+from jaxsphere.simulation.pausable import Pausable
+traces = []
+def count_down(start, scale):
+    traces.append(1)
+    first = (start, jnp.zeros_like(start))
+    return Pausable(first, lambda c: (c[0] - 1, c[1] + 1), lambda c: c[0] <= 0, lambda c: scale * c[1])
+run = js.over_queue(count_down, slots=3, capacity=16)
+for lanes in (1, 2, 5, 11, 16):
+    start = np.arange(1.0, lanes + 1.0)[::-1].copy()
+    np.testing.assert_array_equal(run(start, np.full(lanes, 2.0)), 2.0 * start)
+    traced = traced if lanes > 1 else len(traces)
+assert len(traces) == traced
+np.testing.assert_array_equal(run(np.ones(17), np.ones(17)), np.ones(17))
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
 
 
 def test_queue_refuses_unequal_axes():

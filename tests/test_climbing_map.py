@@ -71,13 +71,13 @@ def test_interrupted_map_keeps_what_is_done(monkeypatch):
     x, y = axes.axis("z_u", 40, 0.5, 0.98), axes.axis("c1", 40)
     calls = []
 
-    def interrupted(run, size, *lanes):
+    def interrupted(*lanes):
         if calls:
             raise KeyboardInterrupt
         calls.append(len(lanes[0]))
         return js.tasks.climbing.SteepestSlope(*(np.full(len(lanes[0]), value) for value in (0.3, 0.2, 0.4, 3, 2, 9.0)))
 
-    monkeypatch.setattr(maps, "_padded", interrupted)
+    monkeypatch.setattr(js, "over_queue", lambda make, capacity: interrupted)
     found = maps.bound_map(QUICK, x, y, progress=False)
     assert not found.finished
     assert np.isfinite(found.value).sum() == calls[0] == 9

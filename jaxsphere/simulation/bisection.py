@@ -83,8 +83,9 @@ def largest_success(
 
     Args:
         trial: the simulation. low, high: ends of the search interval; the answer is never above `high`, which is not tried.
-        tolerance: width of the last bracket, wider where numbers have no more digits. guess: where to look first, the middle by default. step: how far from a guess to
-        look next, growing by 4 until the bracket is closed; by default the interval's end.
+        tolerance: width of the last bracket, wider where numbers have no more digits. guess: where to look first, the middle by
+        default. step: how far from a guess to look next, growing by 4 until the bracket is closed; by default the interval's
+        end.
     """
     span = high - low
     reach = span if step is None else step

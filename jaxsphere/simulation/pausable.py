@@ -41,11 +41,12 @@ def run(computation: Pausable) -> Any:
     return computation.result(last)
 
 
-def over_queue(make: Callable[..., Pausable], slots: int = 256) -> Callable[..., Any]:
+def over_queue(make: Callable[..., Pausable], slots: int = 256, capacity: int = 1) -> Callable[..., Any]:
     """Like `js.over_lanes(lambda *lane: run(make(*lane)))`, for computations whose lengths differ.
 
     Args:
-        make: the numbers of one lane -> its computation. slots: computations under way at a time on each device.
+        make: the numbers of one lane -> its computation. slots: computations under way at a time on each device. capacity:
+        batches of up to so many lanes share one compiled program, whatever their number.
 
     Returns:
         A function of the same arguments with a leading axis of lanes on every leaf. It raises ValueError when the leading
@@ -56,25 +57,26 @@ def over_queue(make: Callable[..., Pausable], slots: int = 256) -> Callable[...,
     on_cpu = mesh.devices.flat[0].platform == "cpu"
 
     @partial(jax.jit, compiler_options=CPU_OPTIONS if on_cpu else None)
-    def batched(arguments: tuple[Any, ...]) -> Any:
+    def batched(arguments: tuple[Any, ...], real: Array) -> Any:
         work = partial(_work_through, make, slots)
-        return jax.shard_map(work, mesh=mesh, in_specs=(spec,), out_specs=spec, check_vma=False)(arguments)
+        return jax.shard_map(work, mesh=mesh, in_specs=(spec, spec), out_specs=spec, check_vma=False)(arguments, real)
 
     def call(*arguments: Any) -> Any:
         lanes = lane_count(arguments)
         # Neighbours take equally long: dealt out in turns, every device gets its share of the long ones.
-        order = np.arange(lanes + -lanes % mesh.size).reshape(-1, mesh.size).T.ravel()
+        room = max(lanes, capacity)
+        order = np.arange(room + -room % mesh.size).reshape(-1, mesh.size).T.ravel()
         dealt = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.result_type(leaf))[np.minimum(order, lanes - 1)], arguments)
-        found = batched(jax.device_put(dealt, NamedSharding(mesh, spec)))
+        found = batched(*jax.device_put((dealt, order < lanes), NamedSharding(mesh, spec)))
         back = np.argsort(order)[:lanes]
         return jax.tree.map(lambda leaf: np.asarray(leaf)[back], found)
 
     return call
 
 
-def _work_through(make: Callable[..., Pausable], slots: int, arguments: tuple[Any, ...]) -> Any:
-    """Run the computations of all lanes (leading axis) in `slots` slots and return what they found, lane by lane."""
-    lanes = jax.tree.leaves(arguments)[0].shape[0]
+def _work_through(make: Callable[..., Pausable], slots: int, arguments: tuple[Any, ...], real: Array) -> Any:
+    """Run the computations of the real lanes, the first of the leading axis, and return what they found, lane by lane."""
+    lanes, count = real.shape[0], jnp.sum(real)
     slots = min(slots, lanes)
 
     def begin(lane: tuple[Any, ...]) -> Any:
@@ -92,8 +94,8 @@ def _work_through(make: Callable[..., Pausable], slots: int, arguments: tuple[An
         carry, ended, found = jax.vmap(proceed)(of(queue.index), queue.carry)
         ended = ended & (queue.index < lanes)
         row = jnp.where(ended, queue.index, lanes)
-        following = jnp.minimum(queue.waiting + jnp.cumsum(ended) - 1, lanes)
-        index = jnp.where(ended, following, queue.index)
+        following = queue.waiting + jnp.cumsum(ended) - 1
+        index = jnp.where(ended, jnp.where(following < count, following, lanes), queue.index)
         fresh = jax.vmap(begin)(of(index))
         return _Queue(
             index=index,
@@ -102,7 +104,7 @@ def _work_through(make: Callable[..., Pausable], slots: int, arguments: tuple[An
             found=jax.tree.map(lambda all_, new: all_.at[row].set(new), queue.found, found),
         )
 
-    index = jnp.arange(slots)
+    index = jnp.where(jnp.arange(slots) < count, jnp.arange(slots), lanes)
     carry = jax.vmap(begin)(of(index))
     shapes = jax.eval_shape(lambda: jax.vmap(proceed)(of(index), carry))[2]
     found = jax.tree.map(lambda leaf: jnp.zeros((lanes + 1, *leaf.shape[1:]), leaf.dtype), shapes)
