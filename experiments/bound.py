@@ -144,9 +144,9 @@ def _bound_map(record: Record, progress: bool, size: int = 64, sample: int = 64)
     }
 
 
-def _outcome_maps(record: Record, size: int = 160) -> dict[str, Any]:
+def _outcome_maps(record: Record, size: int = 144) -> dict[str, Any]:
     x, y = axes.axis("torque_limit", size), axes.axis("slope", size)
-    setting = axes.Setting(QUICK)
+    setting = axes.Setting(replace(QUICK, dt=axes.stable_step(QUICK)), dtype="float32")
     refined = maps.outcome_map(setting, x, y)
     dense = maps.outcome_map(setting, x, y, coarse=None)
     record.picture(
@@ -190,9 +190,9 @@ def _sensitivities(record: Record) -> dict[str, Any]:
 
 def _tuned(record: Record, progress: bool) -> dict[str, Any]:
     found = climbing.tune_to_climb(
-        replace(QUICK, torque_limit=TORQUE_LIMIT), rounds=3, iterations=15, dt=2e-2, progress=progress
+        replace(QUICK, torque_limit=TORQUE_LIMIT), rounds=3, iterations=12, dt=2e-2, progress=progress
     )
-    scored = js.steepest_slope(js.Climb(gains=found.gains, **SCORING), 1e-6, found.bounds[-1])
+    scored = js.steepest_slope(js.Climb(gains=found.gains, **SCORING), 2e-5, found.bounds[-1])
     slope = SHARE * found.static_bound
     hard = {name: value for name, value in SCORING.items() if name != "early"} | {
         "duration": 60.0,

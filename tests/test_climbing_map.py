@@ -54,7 +54,7 @@ def test_a_neighbour_uncovers_what_the_corners_hide():
 
 
 def test_map_from_coarse_to_fine_equals_every_bound_alone():
-    x, y = axes.axis("z_u", 20, 0.5, 0.98), axes.axis("mass_ratio", 18, 0.2, 0.6)
+    x, y = axes.axis("z_u", 20, 0.75, 0.98), axes.axis("mass_ratio", 18, 0.35, 0.6)
     found = maps.bound_map(QUICK, x, y, 1e-3, progress=False)
     assert found.finished
     assert np.all(found.upper - found.lower <= 1e-3 * (1.0 + 1e-9))
