@@ -185,7 +185,7 @@ def climb_figure(title: str, runs: Sequence[tuple[str, js.Trajectory]], robot: j
     angle.set_ylim(-1.0 * travel, 1.3 * travel)
     name_axes(angle, "time (s)", "sphere angle α (rad)")
     name_axes(swing, "time (s)", "swing φ (deg)")
-    name_axes(torque, "time (s)", "motor torque τ (N m)")
+    name_axes(torque, "time (s)", "motor torque τ (N m)", "a band: the hard sign chatters")
     fig.suptitle(title)
     return fig
 
