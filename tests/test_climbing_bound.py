@@ -151,8 +151,9 @@ def test_the_motor_cannot_hold_more_than_its_limit():
 def test_outcomes_name_what_happened():
     ends = js.over_queue(lambda slope: js.outcome_run(QUICK, slope))(np.deg2rad([10.0, 18.3, 19.0])).status
     assert [Status(int(code)) for code in ends] == [Status.OK, Status.DIVERGED, Status.INFEASIBLE_LEAN]
-    short = replace(QUICK, duration=5.0)
-    assert int(js.climb_outcome(short, np.deg2rad(10.0)).status) == Status.NOT_SETTLED
+    # Table 3 is within 2 % of the travel after 6.36 s.
+    for duration, status in ((6.3, Status.NOT_SETTLED), (6.4, Status.OK)):
+        assert int(js.climb_outcome(replace(QUICK, duration=duration), np.deg2rad(10.0)).status) == status
 
 
 def test_a_sampled_hard_sign_and_a_push_enter_the_fate():
