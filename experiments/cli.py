@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from experiments.options.climbing import MapOptions
 from experiments.options.planar import MotionOptions, SlidingModeOptions, TuningOptions, UncertaintyOptions
 from experiments.options.robot import RobotOptions
 from experiments.options.spatial import TrackingGainOptions, TrackOptions, TrackTuningOptions
@@ -32,7 +33,7 @@ class Reproduce:
     """Reproduce the paper's figures with the corrected equations; all of them when none is named."""
 
     experiments: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Which: fig4, fig5."""
+    """Which: fig4, fig5, bound."""
     out: str = "out"
     """Folder for pictures, metrics.json and manifest.json."""
     progress: bool = True
@@ -130,6 +131,22 @@ class Sweep:
 
 
 @dataclass
+class Map(Specified):
+    """Map how steep the planar closed loop climbs, or how its climbs end, over two parameters."""
+
+    robot: RobotOptions = field(default_factory=RobotOptions)
+    gains: Annotated[SlidingModeOptions, tyro.conf.arg(name="")] = field(default_factory=SlidingModeOptions)
+    map: Annotated[MapOptions, tyro.conf.arg(name="")] = field(default_factory=MapOptions)
+    progress: bool = True
+    """Show a progress bar."""
+
+    def run(self) -> None:
+        from experiments.commands import map as commands
+
+        commands.draw(self)
+
+
+@dataclass
 class Bench:
     """Measure speed against peers in the same run."""
 
@@ -156,6 +173,7 @@ COMMANDS: dict[str, Any] = {
     "tune planar": TunePlanar,
     "tune spatial": TuneSpatial,
     "sweep": Sweep,
+    "map": Map,
     "bench": Bench,
 }
 

@@ -38,12 +38,25 @@ from jaxsphere.models.climbing import (  # noqa: E402
 from jaxsphere.robot import Robot, check_robot, robot_named, robots  # noqa: E402
 from jaxsphere.simulation.host import RolloutError  # noqa: E402
 from jaxsphere.simulation.lanes import over_lanes, use_all_cores  # noqa: E402
+from jaxsphere.simulation.pausable import over_queue  # noqa: E402
 from jaxsphere.simulation.rollout import Measure, Plant, Trajectory, rollout  # noqa: E402
 from jaxsphere.simulation.sweeps import axes  # noqa: E402
 from jaxsphere.simulation.sweeps.engine import sweep  # noqa: E402
 from jaxsphere.simulation.sweeps.results import SweepResults, open_sweep  # noqa: E402
 from jaxsphere.simulation.sweeps.store import SweepError  # noqa: E402
-from jaxsphere.tasks import require_holdable, rest_to_rest, track, track_line  # noqa: E402
+from jaxsphere.tasks import (  # noqa: E402
+    Climb,
+    check_climb,
+    climb_outcome,
+    outcome_run,
+    require_holdable,
+    rest_to_rest,
+    slope_search,
+    static_bound_by_release,
+    steepest_slope,
+    track,
+    track_line,
+)
 
 __all__ = [
     "TrackingGains",
@@ -52,6 +65,7 @@ __all__ = [
     "track",
     "track_line",
     "tracking",
+    "Climb",
     "Command",
     "Measure",
     "Plant",
@@ -63,14 +77,18 @@ __all__ = [
     "SweepResults",
     "Trajectory",
     "axes",
+    "check_climb",
     "check_robot",
+    "climb_outcome",
     "climbing",
     "climbing_bound",
     "equilibria",
     "equilibrium_swing",
     "nonsingularity_margin",
     "open_sweep",
+    "outcome_run",
     "over_lanes",
+    "over_queue",
     "planar",
     "require_holdable",
     "rest_to_rest",
@@ -78,8 +96,11 @@ __all__ = [
     "robots",
     "rollout",
     "sliding_mode",
+    "slope_search",
     "sliding_mode_poles",
     "sweep",
+    "static_bound_by_release",
+    "steepest_slope",
     "use_all_cores",
     "zero_dynamics_poles",
 ]

@@ -116,6 +116,9 @@ def test_certificate_counts_what_it_should():
     assert alone.status != js.Status.OK
     assert found.low < found.rate < found.high
     assert f"{found.failures} of 24 samples failed" in found.sentence()
+    strict = tuning.certify(js.SlidingModeGains(), spread, swing_limit=0.1, **settings)
+    assert strict.over_limits == 24  # the equilibrium alone is steeper
+    assert strict.failures == 24
 
 
 def steep():

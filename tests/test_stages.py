@@ -9,6 +9,7 @@ import pytest
 
 import jaxsphere as js
 import tuning
+from tuning.diagnosis import first_not_finite
 
 TABLE_3 = js.SlidingModeGains()
 SHORT = tuning.RestToRest(duration=0.4, dt=2e-2)
@@ -51,6 +52,7 @@ def test_an_annealed_objective_ends_with_its_last_stage():
         swing=9 * base.swing, overshoot=9 * base.overshoot, singularity=9 * base.singularity, stability=9 * base.stability
     )
     expected = replace(SHORT, smoothing=0.05, weights=heavy)(TABLE_3)
+    np.testing.assert_allclose(annealed.stage(1).weights, heavy)
     assert annealed(TABLE_3) == pytest.approx(float(expected), rel=1e-12)
     assert annealed.stage(0)(TABLE_3) == pytest.approx(float(SHORT(TABLE_3)), rel=1e-12)
     assert jnp.sum(annealed.residuals(TABLE_3) ** 2) == pytest.approx(float(expected), rel=1e-12)
@@ -104,6 +106,13 @@ def nan_after(time):
         return jnp.where(trajectory.time[-1] > time, jnp.nan, 0.0)
 
     return spoil
+
+
+def test_the_first_quantity_that_is_not_finite_is_named():
+    time, late, early = jnp.arange(3.0), jnp.array([0.0, 0.0, jnp.inf]), jnp.array([0.0, jnp.nan, 1.0])
+    assert first_not_finite(time, {"late": late, "early": early}, {}) == "lane 0, t = 1 s, early"
+    assert first_not_finite(time, {"late": late}, {"still": jnp.array([jnp.nan])}, lane=3) == "lane 3, t = 0 s, still"
+    assert "all of its terms are finite" in first_not_finite(time, {"fine": time}, {})
 
 
 def test_an_objective_that_is_not_finite_names_lane_time_and_quantity():

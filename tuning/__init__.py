@@ -1,6 +1,7 @@
 """Gains by gradients through rollouts."""
 
 from tuning.certificate import Certificate, certify, clopper_pearson
+from tuning.climbing import ClimbTuning, Sensitivity, climb_sensitivity, sensitivity_by_differences, tune_to_climb
 from tuning.following import SPATIAL_BOUNDS, FollowLine, LineTerms, LineWeights, friction_angle
 from tuning.health import audit_sign, check_gradient, lyapunov_exponent, stiff_and_sloppy
 from tuning.limits import Limits
@@ -27,6 +28,11 @@ __all__ = [
     "lyapunov_exponent",
     "stiff_and_sloppy",
     "Certificate",
+    "ClimbTuning",
+    "Sensitivity",
+    "climb_sensitivity",
+    "sensitivity_by_differences",
+    "tune_to_climb",
     "Robust",
     "Scenarios",
     "Uncertainty",

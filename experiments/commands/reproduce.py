@@ -5,11 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import jaxsphere as js
-from experiments import fig4, fig5, robustness
+from experiments import bound, fig4, fig5, robustness
 from experiments.records import Record
 from jaxsphere.checks import require_choice
 
-EXPERIMENTS = {"fig4": fig4.reproduce, "fig5": fig5.reproduce, "robust": robustness.reproduce}
+EXPERIMENTS = {
+    "fig4": fig4.reproduce,
+    "fig5": fig5.reproduce,
+    "bound": bound.reproduce,
+    "robust": robustness.reproduce,
+}
 
 
 def reproduce(names: tuple[str, ...], out: str, progress: bool) -> None:

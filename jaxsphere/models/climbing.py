@@ -55,6 +55,26 @@ def can_hold(robot: Robot, slope: Real) -> Array:
     return jnp.abs(swing_sine(robot, slope)) <= 1.0
 
 
+def highest_step(robot: Robot, slope: Real = 0.0) -> Array:
+    """Height (m, normal to the slope) of the highest step that the robot can roll onto quasi-statically; 0 past the bound (4).
+
+    The view of Halme, Schoenberg and Wang (1996), from moments. The radius to the edge of a step of height h is at an angle
+    beta = slope + arccos(1 - h / r) from the vertical, so that the centre of the sphere is r sin(beta) behind the edge. The
+    shell lifts off the ground when the pendulum, swung to the horizontal, outweighs the rest:
+
+        m_p g (l - r sin beta) >= (m + m_i) g r sin beta,    that is    sin(beta) <= m_p l / ((m + m_i + m_p) r),
+
+    so that the bound (4) limits beta, whatever the masses: h = r (1 - cos(bound - slope)). A slope is a step of no height, with
+    the contact point for its edge. Lifting off is the hardest moment: beta falls while the robot rolls over the edge. Nothing
+    slips here, and nothing is gained from speed.
+
+    Args:
+        robot: the robot. slope: of the ground before and after the step, rad, positive up-slope.
+    """
+    left = jnp.maximum(climbing_bound(robot) - slope, 0.0)
+    return robot.shell_radius * (1.0 - jnp.cos(left))
+
+
 def equilibria(robot: Robot, slope: Real) -> Equilibria:
     """Return both equilibrium swings of the robot held on the slope; they merge at the bound (4), a saddle-node."""
     lower = equilibrium_swing(robot, slope)

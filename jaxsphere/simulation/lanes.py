@@ -17,7 +17,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 BLOCK = 512
 
 # XLA compiles for 256-bit vectors unless asked; without 512-bit registers the option has no effect.
-_CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
+CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 
 
 def over_lanes(function: Callable[..., Any], block: int = BLOCK) -> Callable[..., Any]:
@@ -35,7 +35,7 @@ def over_lanes(function: Callable[..., Any], block: int = BLOCK) -> Callable[...
     spec = PartitionSpec("lane")
     on_cpu = mesh.devices.flat[0].platform == "cpu"
 
-    @partial(jax.jit, static_argnames="size", compiler_options=_CPU_OPTIONS if on_cpu else None)
+    @partial(jax.jit, static_argnames="size", compiler_options=CPU_OPTIONS if on_cpu else None)
     def batched(arguments: tuple[Any, ...], size: int) -> Any:
         def shard(arguments: tuple[Any, ...]) -> Any:
             if not on_cpu:
@@ -47,7 +47,7 @@ def over_lanes(function: Callable[..., Any], block: int = BLOCK) -> Callable[...
         return jax.shard_map(shard, mesh=mesh, in_specs=(spec,), out_specs=spec, check_vma=False)(arguments)
 
     def call(*arguments: Any) -> Any:
-        lanes = _lane_count(arguments)
+        lanes = lane_count(arguments)
         size = min(block, -(-lanes // mesh.size))
         padding = -lanes % (size * mesh.size)
         padded = jax.tree.map(lambda leaf: _repeat_last(_strong(leaf), padding), arguments)
@@ -74,12 +74,12 @@ def same_bits(function: Callable[..., Any], block: int, devices: Sequence[Any] |
         leading axes differ or there are no lanes.
     """
     devices = jax.local_devices() if devices is None else devices
-    options = _CPU_OPTIONS if devices[0].platform == "cpu" else None
+    options = CPU_OPTIONS if devices[0].platform == "cpu" else None
     program = jax.jit(jax.vmap(function), compiler_options=options)
     compiled: dict[Any, Any] = {}
 
     def call(*arguments: Any) -> list[Any]:
-        lanes = _lane_count(arguments)
+        lanes = lane_count(arguments)
         parts = [jax.tree.map(partial(_host_block, start, block), arguments) for start in range(0, lanes, block)]
         used = devices[: len(parts)]
         missing = [device for device in used if device not in compiled]
@@ -102,7 +102,8 @@ def _shapes(arguments: Any, device: Any) -> Any:
     return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), arguments)
 
 
-def _lane_count(arguments: tuple[Any, ...]) -> int:
+def lane_count(arguments: tuple[Any, ...]) -> int:
+    """Return the common leading axis of batched arguments. Raises ValueError when there is none, or none in it."""
     counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(arguments)}
     if len(counts) != 1 or counts in ({()}, {(0,)}):
         raise ValueError(

@@ -1,6 +1,20 @@
 """The paper's experiments as one call each: a robot, a law and a rollout put together, checked on the host."""
 
+from jaxsphere.tasks.climbing import Climb, check_climb, climb_outcome, outcome_run, slope_search, steepest_slope
 from jaxsphere.tasks.regulation import require_holdable, rest_to_rest
+from jaxsphere.tasks.release import static_bound_by_release
 from jaxsphere.tasks.tracking import track, track_line
 
-__all__ = ["require_holdable", "rest_to_rest", "track", "track_line"]
+__all__ = [
+    "Climb",
+    "check_climb",
+    "climb_outcome",
+    "outcome_run",
+    "require_holdable",
+    "rest_to_rest",
+    "slope_search",
+    "static_bound_by_release",
+    "steepest_slope",
+    "track",
+    "track_line",
+]

@@ -1,0 +1,70 @@
+"""The bound (4) found by simulation: robots released on slopes under the torque that balances them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxsphere.checks import require_scalar
+from jaxsphere.command import Command, Status, code
+from jaxsphere.models import climbing, planar
+from jaxsphere.numerics import Real
+from jaxsphere.robot import Robot, check_robot
+from jaxsphere.simulation.bisection import Trial, largest_success
+from jaxsphere.simulation.host import cast
+from jaxsphere.simulation.pausable import run
+from jaxsphere.simulation.rollout import rollout
+from jaxsphere.tasks.climbing import SteepestSlope, in_seconds
+from jaxsphere.tasks.regulation import planar_plant
+
+# In units of the pendulum's own time sqrt(I / (m_p g l)): beside the bound by 1e-6 of the torque the whirl takes about 100.
+_RELEASE_STEP = 0.05
+_RELEASE_STEPS = 250
+_RELEASE_SEGMENTS = 20
+
+
+def static_bound_by_release(robot: Robot, tolerance: Real = 1e-5, offset: Real = 1e-3) -> SteepestSlope:
+    """Find the bound (4) by simulation: the steepest slope (rad) on which a released robot is held by a constant torque.
+
+    The torque is the one that balances the slope, tau = (m + m_i + m_p) g r sin(gamma), whatever the pendulum does. Row 1 of
+    (1) then conserves M11 alpha' + M12 phi', so that the sphere moves only as the pendulum does, and the pendulum is a ball on
+    the washboard of its weight and this torque: it has a hollow at phi_0 and a rim at pi - phi_0 as long as (2) has a
+    solution. Released at rest `offset` (rad) up-slope of phi_0 (of pi/2 where there is none), it rocks in the hollow or
+    whirls. (Clamping the sphere's angle instead would be no test: there phi_0 is a saddle, see `zero_dynamics_poles`.)
+
+    Args:
+        robot: the robot. tolerance: rad, width of the bracket. offset: rad. Batch it with `jax.vmap` or `js.over_lanes`.
+    """
+    check_robot(robot)
+    require_scalar("tolerance", tolerance, above=0.0, unit="rad")
+    require_scalar("offset", offset, above=0.0, unit="rad")
+    return _static(*cast((robot, tolerance, offset), jnp.float64))
+
+
+@jax.jit
+def _static(robot: Robot, tolerance: Array, offset: Array) -> SteepestSlope:
+    zero = jnp.zeros_like(climbing.climbing_bound(robot))
+    level = planar.lump(robot, zero)
+    dt = _RELEASE_STEP * jnp.sqrt(level.pendulum_inertia / level.pendulum_weight)
+
+    def start(slope: Array) -> tuple[tuple[Array, ...], Array]:
+        return (zero, zero, climbing.equilibrium_swing(robot, slope) + offset, zero), jnp.zeros((), jnp.int32)
+
+    def advance(slope: Array, carry: tuple[tuple[Array, ...], Array]) -> tuple[Any, Array, Array]:
+        state, count = carry
+        lumped = planar.lump(robot, slope)
+
+        def hold(time: Array, state: planar.State, memory: tuple[Array, ...]) -> Command:
+            del time, state, memory
+            return Command((jnp.asarray(lumped.slope_torque),), (), code(Status.OK))
+
+        plant = planar_plant(robot, slope, zero, zero)
+        trajectory = rollout(plant, hold, state, dt=dt, steps=_RELEASE_STEPS, save_every=None)
+        decided = (trajectory.status != Status.OK) | (count + 1 >= _RELEASE_SEGMENTS)
+        return (tuple(trajectory.state[-1]), count + 1), decided, trajectory.status
+
+    search = largest_success(Trial(start, advance), zero, zero + 0.5 * jnp.pi, tolerance)
+    return run(in_seconds(search, _RELEASE_STEPS * dt))
