@@ -190,7 +190,7 @@ def _sensitivities(record: Record) -> dict[str, Any]:
 
 def _tuned(record: Record, progress: bool) -> dict[str, Any]:
     found = climbing.tune_to_climb(
-        replace(QUICK, torque_limit=TORQUE_LIMIT), rounds=3, iterations=12, dt=2e-2, progress=progress
+        replace(QUICK, torque_limit=TORQUE_LIMIT), rounds=3, iterations=25, dt=1.6e-2, progress=progress
     )
     scored = js.steepest_slope(js.Climb(gains=found.gains, **SCORING), 2e-5, found.bounds[-1])
     slope = SHARE * found.static_bound

@@ -30,7 +30,7 @@ class Specified:
 
 @dataclass
 class Reproduce:
-    """Reproduce the paper's figures with the corrected equations; all of them when none is named."""
+    """Reproduce the paper's figures with the corrected equations, the climbing bound and the robust gains."""
 
     experiments: tyro.conf.Positional[tuple[str, ...]] = ()
     """Which: fig4, fig5, bound."""

@@ -44,7 +44,7 @@ def search(
     initial: js.TrackingGains,
     validation_speeds: Sequence[float] = VALIDATION_SPEEDS,
     *,
-    iterations: int = 20,
+    iterations: int = 12,
     frozen: Sequence[str] = (),
     optimiser: str = "lm",
     **settings: Any,
