@@ -22,6 +22,6 @@ def test_example_runs_and_prints_what_its_comments_say(capsys):
 
 
 def test_named_files_exist():
-    named = set(re.findall(r"\b(?:jaxsphere|tuning|experiments|tests|notebooks)/[\w/]*\.(?:py|png|ipynb)", README))
+    named = set(re.findall(r"\b(?:jaxsphere|tuning|experiments|tests|notebooks)/[\w/]*\.(?:py|png|ipynb|toml)", README))
     assert len(named) >= 10
     assert [name for name in sorted(named) if not (ROOT / name).exists()] == []
