@@ -10,7 +10,7 @@ reproduce: $(VENV)/run
 	$(BIN)/jaxsphere reproduce --out $(OUT)
 
 test: $(VENV)/dev
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 lint: $(VENV)/dev
 	$(BIN)/ruff check .
@@ -18,7 +18,7 @@ lint: $(VENV)/dev
 	$(BIN)/pyright
 
 notebooks: $(VENV)/dev
-	$(BIN)/python -m pytest --nbmake --nbmake-timeout=300 --override-ini=testpaths=notebooks notebooks
+	$(BIN)/python -m pytest -n 2 --nbmake --nbmake-timeout=300 --override-ini=testpaths=notebooks notebooks
 
 bench: $(VENV)/dev
 	$(BIN)/pip install --quiet --editable '.[bench]'

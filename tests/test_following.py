@@ -111,13 +111,11 @@ def test_a_lane_that_ends_early_keeps_its_error_and_pays_for_the_rest(evaluated)
     assert terms.distance == pytest.approx(np.mean(distance), rel=1e-6)
 
 
-def test_squared_residuals_sum_to_the_objective_and_the_three_gradients_agree(evaluated, expanded, slope):
+def test_squared_residuals_sum_to_the_objective_and_gradient_and_differences_agree(evaluated, expanded, slope):
     vector = CHOSEN.to_vector(GAINS)
     seen = expanded(vector)
     assert seen.value == pytest.approx(float(evaluated(GAINS, slope)[0]), rel=1e-9)
     forward = np.asarray(seen.gradient)
-    reverse = compiled(jax.grad(lambda free: SHORT(CHOSEN.to_gains(free))))(vector)
-    np.testing.assert_allclose(reverse, forward, rtol=1e-8, atol=1e-9 * np.abs(forward).max())
     ends = [[evaluated(CHOSEN.to_gains(vector + sign * step), slope)[0] for sign in (1, -1)] for step in 1e-5 * np.eye(7)]
     differences = [float(up - down) / 2e-5 for up, down in ends]
     np.testing.assert_allclose(forward, differences, rtol=1e-4, atol=1e-5 * np.abs(forward).max())

@@ -34,10 +34,6 @@ def test_a_small_front_trades_one_figure_for_another():
     assert front.rollouts == 18
     assert front.tried == 18 + 2 * 30
     assert front.plain_rollouts == 18 * tuning.levenberg_marquardt().plain_rollouts(6) + front.tried  # each is scored
-    alone = tuning.pareto_front(objective, js.SlidingModeGains(), points=6, iterations=3, rounds=0, swing=(0.02, 0.3))
-    reference = np.array([6.0, 1.0, 60.0])
-    assert pareto.hypervolume(front.figures, reference) > pareto.hypervolume(alone.figures, reference)
-    assert len(front.figures) > len(alone.figures)
     first = js.SlidingModeGains(*(float(leaf[0]) for leaf in vars(front.gains).values()))
     np.testing.assert_allclose(pareto.figures(objective, first), front.figures[0], rtol=1e-6)
 
@@ -59,6 +55,17 @@ def test_weightings_fill_both_ranges_evenly_in_the_logarithm(monkeypatch):
     swings, decades = (values[counts >= 10] for values, counts in ends)
     np.testing.assert_array_equal(np.floor(8 * np.log(0.5 * swings / 0.15) / np.log(4.0)), np.arange(8))
     np.testing.assert_array_equal(np.floor(8 * (decades - 5.5 + 4.0) / 3.0), np.arange(8))
+
+
+def test_rounds_fill_in_the_front_and_reach_beyond_its_edge(monkeypatch):
+    monkeypatch.setattr(pareto, "figures", lambda objective, gains: jnp.stack([gains.c1, 1.0 / gains.c1, gains.c2]))
+    settings = {"points": 8, "iterations": 2, "swing": (0.15, 0.6), "effort": (1e-4, 0.1)}
+    fronts = [tuning.pareto_front(Telltale(), js.SlidingModeGains(c1=0.6, c2=3.0), rounds=n, **settings) for n in (0, 3)]
+    volumes = [pareto.hypervolume(front.figures, np.array([2.0, 6.0, 9.0])) for front in fronts]
+    assert volumes[1] > 1.02 * volumes[0]
+    assert len(fronts[1].figures) > 2 * len(fronts[0].figures)
+    assert fronts[1].figures[:, 2].min() < fronts[0].figures[:, 2].min()
+    assert np.all(pareto.non_dominated(fronts[1].figures))
 
 
 def test_figures_are_scored_with_the_hard_sign_and_infinite_unless_settled():

@@ -206,8 +206,14 @@ def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(tmp_path):
         seen += process.stderr.read1(1000)
         assert process.poll() is None, seen
     assert b"lane/s" in seen
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
+    err = b""
+    for _ in range(5):  # Python drops an interrupt that meets it inside a finaliser
+        process.send_signal(signal.SIGINT)
+        try:
+            _, err = process.communicate(timeout=4)
+            break
+        except subprocess.TimeoutExpired:
+            continue
     assert process.returncode == 130
     last = err.decode().strip().splitlines()[-1]
     assert last.startswith("jaxsphere sweep: interrupted after ")

@@ -143,7 +143,7 @@ def test_result_survives_the_file(tmp_path):
         if "gains" in leaf.name:
             assert vars(getattr(loaded, leaf.name)) == vars(getattr(found, leaf.name))
         else:
-            assert getattr(loaded, leaf.name) == getattr(found, leaf.name)
+            np.testing.assert_equal(getattr(loaded, leaf.name), getattr(found, leaf.name))
     assert loaded.report() == found.report()
 
 

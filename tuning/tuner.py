@@ -99,6 +99,7 @@ def tune(
     """
     if isinstance(optimiser, str):
         require_choice("optimiser", optimiser, OPTIMISERS)
+    require_choice("gradient", gradient, GRADIENTS)
     label = optimiser if isinstance(optimiser, str) else "custom"
     iterations = _ITERATIONS.get(label, 150) if iterations is None else iterations
     for name, value in (("iterations", iterations), ("starts", starts), ("chunk", chunk)):
