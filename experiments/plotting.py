@@ -169,12 +169,12 @@ def descent_figure(title: str, curves: Mapping[str, tuple[np.ndarray, np.ndarray
 
 
 def fronts_figure(title: str, fronts: Mapping[str, np.ndarray]) -> Figure:
-    """Fronts (points, 3) of settling (s), swing (rad) and effort ((N m)^2 s), one panel each, coloured by the effort."""
+    """Fronts (points, 3) of settling (s), swing (rad) and effort ((N m)^2 s), one panel each, the lighter the more effort."""
     fig, axes = figure(1, len(fronts), (3.3 * len(fronts) + 0.9, 3.6))
-    top = max(float(points[:, 2].max()) for points in fronts.values())
+    bottom, top = (float(end(np.concatenate([points[:, 2] for points in fronts.values()]))) for end in (np.min, np.max))
     for panel, (label, points) in zip(axes[0], fronts.items(), strict=True):
         settling, swing, effort = points.T
-        shade: dict[str, Any] = {"c": effort, "s": 10 + 40 * effort / top, "cmap": "viridis", "vmin": 0.0, "vmax": top}
+        shade: dict[str, Any] = {"c": effort, "s": 8, "cmap": "viridis", "vmin": bottom, "vmax": top}
         dots = panel.scatter(settling, np.rad2deg(swing), **shade)
         name_axes(panel, "2 % settling (s)", "peak swing about equilibrium (deg)", f"{label}, {len(points)} points", False)
         panel.sharex(axes[0, 0])

@@ -52,7 +52,7 @@ def _traces(found: Study, angle: Axes, swing: Axes, torque: Axes) -> None:
         _envelope(torque, time[shown], np.asarray(run.torque)[shown, 0], name, style)
     name_axes(angle, "time (s)", "sphere angle α (rad)")
     name_axes(swing, "time (s)", "swing φ (deg)")
-    name_axes(torque, "time (s)", "motor torque τ (N m)", title="envelope over 20 ms, hard sign, 1 kHz hold")
+    name_axes(torque, "time (s)", "motor torque τ (N m)", title="envelope; hard sign, 1 kHz hold")
 
 
 def _envelope(axes: Axes, time: np.ndarray, values: np.ndarray, label: str, style: dict[str, Any]) -> None:
