@@ -10,7 +10,7 @@ reproduce: $(VENV)/run
 	$(BIN)/jaxsphere reproduce --out $(OUT)
 
 test: $(VENV)/dev
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: $(VENV)/dev
 	$(BIN)/ruff check .
