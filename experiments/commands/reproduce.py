@@ -9,7 +9,7 @@ from experiments import bound, fig4, fig5, robustness
 from experiments.records import Record
 from jaxsphere.checks import require_choice
 
-# The paper's own figures, which need about a minute and a half on two cores; the others take a minute or more each.
+# The paper's own figures, run when nothing is named, so that the first command of a new user ends soon.
 PAPER = ("fig4", "fig5")
 EXPERIMENTS = {
     "fig4": fig4.reproduce,
