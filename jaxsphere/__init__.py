@@ -24,7 +24,6 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-from jaxsphere.command import Command, Status  # noqa: E402
 from jaxsphere.controllers import references, sliding_mode, tracking  # noqa: E402
 from jaxsphere.controllers.sliding_mode import SlidingModeGains, nonsingularity_margin, sliding_mode_poles  # noqa: E402
 from jaxsphere.controllers.tracking import TrackingGains  # noqa: E402
@@ -36,21 +35,28 @@ from jaxsphere.models.climbing import (  # noqa: E402
     zero_dynamics_poles,
 )
 from jaxsphere.robot import Robot, check_robot, robot_named, robots  # noqa: E402
+from jaxsphere.simulation.closed_loop import ClosedLoop, Measure, Plant, closed_loop  # noqa: E402
 from jaxsphere.simulation.host import RolloutError  # noqa: E402
 from jaxsphere.simulation.lanes import over_lanes, use_all_cores  # noqa: E402
 from jaxsphere.simulation.pausable import over_queue  # noqa: E402
-from jaxsphere.simulation.rollout import Measure, Plant, Trajectory, rollout  # noqa: E402
+from jaxsphere.simulation.rollout import Trajectory, rollout  # noqa: E402
 from jaxsphere.simulation.sweeps import axes  # noqa: E402
 from jaxsphere.simulation.sweeps.engine import sweep  # noqa: E402
 from jaxsphere.simulation.sweeps.results import SweepResults, open_sweep  # noqa: E402
 from jaxsphere.simulation.sweeps.store import SweepError  # noqa: E402
+from jaxsphere.status import ControllerOutput, Status  # noqa: E402
 from jaxsphere.tasks import (  # noqa: E402
     Climb,
+    Numerics,
+    PlanarTask,
+    SpatialTask,
     check_climb,
     climb_outcome,
+    closed_loop_of,
     outcome_run,
     require_holdable,
     rest_to_rest,
+    simulate,
     slope_search,
     static_bound_by_release,
     steepest_slope,
@@ -59,6 +65,13 @@ from jaxsphere.tasks import (  # noqa: E402
 )
 
 __all__ = [
+    "ClosedLoop",
+    "Numerics",
+    "PlanarTask",
+    "SpatialTask",
+    "closed_loop",
+    "closed_loop_of",
+    "simulate",
     "TrackingGains",
     "references",
     "spatial",
@@ -66,7 +79,7 @@ __all__ = [
     "track_line",
     "tracking",
     "Climb",
-    "Command",
+    "ControllerOutput",
     "Measure",
     "Plant",
     "Robot",

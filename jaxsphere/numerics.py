@@ -47,6 +47,12 @@ def evaluate_once(value: Array) -> Array:
     return value / (1.0 + 0.0 * jax.lax.stop_gradient(value))
 
 
+def safe_sqrt(square: Array) -> Array:
+    """Square root of a sum of squares, with derivative 0 at 0, where the root itself has none."""
+    positive = square > 0.0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+
+
 def _polynomial(coefficients: tuple[float, ...], x: Array) -> Array:
     total = jnp.full_like(x, coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):

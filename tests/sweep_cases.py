@@ -57,7 +57,7 @@ def _fate(x):
 
 
 def _hold(stiffness, damping):
-    return lambda time, x, memory: js.Command((-stiffness * x[0] - damping * x[1],), (), jnp.int32(0))
+    return lambda time, x, memory: js.ControllerOutput((-stiffness * x[0] - damping * x[1],), (), jnp.int32(0))
 
 
 def swings(count=40, **options):

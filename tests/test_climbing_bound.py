@@ -11,9 +11,9 @@ import pytest
 
 import jaxsphere as js
 from experiments.bound import random_gains, random_robots
-from jaxsphere.command import Status
 from jaxsphere.simulation import pausable
 from jaxsphere.simulation.bisection import Trial, largest_success
+from jaxsphere.status import Status
 
 # Bisected over the full 60 s at 1 ms and at 0.5 ms, deg.
 TABLE_3 = 18.118901

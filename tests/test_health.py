@@ -65,8 +65,8 @@ def test_audit_tends_to_the_hard_sign_and_hides_its_chatter():
     found = tuning.audit_sign(replace(SHORT, duration=3.0), GAINS, widths=(0.2, 0.02))
     np.testing.assert_array_equal(found.smoothing, [0.2, 0.02, 0.0])
     assert found.chatter[-1] > 10.0 * found.chatter[0]
-    assert abs(found.tracking[1] - found.tracking[2]) < abs(found.tracking[0] - found.tracking[2])
-    assert found.gap == pytest.approx(abs(found.tracking[-1] / found.tracking[0] - 1.0))
+    assert abs(found.itae[1] - found.itae[2]) < abs(found.itae[0] - found.itae[2])
+    assert found.gap == pytest.approx(abs(found.itae[-1] / found.itae[0] - 1.0))
 
 
 def test_stiff_and_sloppy_directions_of_a_known_quadratic():

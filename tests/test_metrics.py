@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxsphere.simulation.metrics import regulation
+from jaxsphere.tasks.metrics import regulation
 
 DT = 0.5
 
@@ -49,4 +49,4 @@ def test_swing_torque_and_integrals():
     assert found.peak_torque == 2.0
     assert found.effort == pytest.approx(DT * (1.0 + 4.0), rel=1e-12)
     assert found.chatter == pytest.approx(3.0 + 2.5, rel=1e-12)
-    assert found.tracking == pytest.approx(DT * (0.0 * 1.0 + DT * 0.5), rel=1e-12)
+    assert found.itae == pytest.approx(DT * (0.0 * 1.0 + DT * 0.5), rel=1e-12)

@@ -96,7 +96,7 @@ def test_plant_start_delay_and_bias_reach_both_forms_of_the_objective():
     def tracking(plant, initial_state, late, sensor_bias):
         found = js.rest_to_rest(
             js.Robot(), base.slope, GAINS, 10.0, 0.4, 8e-3, base.smoothing, 5.0, plant=plant, initial_state=initial_state,
-            late=late, sensor_bias=sensor_bias, control_period=8e-3, throw=False,
+            delayed=late, sensor_bias=sensor_bias, control_period=8e-3, throw=False,
         )  # fmt: skip
         return found.state, replace(base, plant=plant, initial_state=initial_state, late=late, sensor_bias=sensor_bias).rollout(
             GAINS

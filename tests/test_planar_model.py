@@ -112,7 +112,7 @@ def free_drift(robot, slope, steps):
     """Largest change of the oracle's energy along 4 s of motion without torque, J."""
     lumped = js.planar.lump(robot, slope)
     alive = js.Plant(partial(js.planar.derivative, lumped), lambda x: jnp.int32(js.Status.OK), js.planar.IS_VELOCITY)
-    idle = js.Command((jnp.zeros(()),), (), jnp.int32(js.Status.OK))
+    idle = js.ControllerOutput((jnp.zeros(()),), (), jnp.int32(js.Status.OK))
     start = tuple(map(jnp.asarray, (0.0, 1.0, 1.2, -2.0)))
     states = js.rollout(alive, lambda *_: idle, start, dt=jnp.asarray(4.0 / steps), steps=steps).state
     energy = sum(oracle_energies(robot, slope, states))

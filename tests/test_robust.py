@@ -83,8 +83,8 @@ def test_robust_objective_is_the_mean_over_its_scenarios_and_of_its_residuals():
 
 def test_a_late_command_acts_one_period_after_its_sample():
     settings = {"duration": 0.08, "dt": 2e-3, "control_period": 1e-2, "smoothing": 0.2}
-    late = js.rest_to_rest(js.Robot(), 0.17, late=True, **settings)
-    prompt = js.rest_to_rest(js.Robot(), 0.17, late=False, **settings)
+    late = js.rest_to_rest(js.Robot(), 0.17, delayed=True, **settings)
+    prompt = js.rest_to_rest(js.Robot(), 0.17, delayed=False, **settings)
     plain = js.rest_to_rest(js.Robot(), 0.17, **settings)
     np.testing.assert_allclose(prompt.state, plain.state, rtol=1e-12, atol=1e-14)  # two programs
     torque = np.asarray(late.torque[:, 0])
@@ -92,7 +92,7 @@ def test_a_late_command_acts_one_period_after_its_sample():
     asked = np.asarray(late.diagnostics.equivalent + late.diagnostics.switching)
     np.testing.assert_allclose(torque[10:40:5], asked[5:35:5], rtol=1e-9)
     with pytest.raises(ValueError, match="late needs a sampled controller"):
-        js.rest_to_rest(js.Robot(), 0.17, late=True)
+        js.rest_to_rest(js.Robot(), 0.17, delayed=True)
 
 
 def test_a_sensor_bias_shifts_what_the_law_sees():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxsphere as js
-from jaxsphere.simulation.metrics import RegulationMetrics
+from jaxsphere.tasks.metrics import RegulationMetrics
 
 DT, DURATION = 4e-3, 8.0
 RUN = partial(js.rest_to_rest, js.Robot(), duration=DURATION, dt=DT, throw=False)
@@ -139,7 +139,7 @@ def test_metrics_equal_those_of_the_saved_trajectory(batch, name):
         peak_torque=np.max(np.abs(torque)),
         effort=DT * np.sum(torque[:-1] ** 2),
         chatter=np.sum(np.abs(np.diff(torque))),
-        tracking=DT * np.sum((time * np.abs(error) / 10.0)[:-1]),
+        itae=DT * np.sum((time * np.abs(error) / 10.0)[:-1]),
     )
     for field in RegulationMetrics._fields:
         # Sums of 2000 terms in another order.
@@ -188,7 +188,7 @@ def test_a_plain_plant_and_law_roll_out_too():
     plant = js.Plant(lambda x, u: (-x[0] + u[0],), lambda x: jnp.int32(js.Status.OK), (True,))
 
     def law(time, x, memory):
-        return js.Command((2.0 - memory[0],), (x[0],), jnp.int32(js.Status.OK))
+        return js.ControllerOutput((2.0 - memory[0],), (x[0],), jnp.int32(js.Status.OK))
 
     found = js.rollout(plant, law, (jnp.ones(()),), (jnp.zeros(()),), dt=jnp.asarray(0.01), steps=200)
     assert found.metrics is None

@@ -14,8 +14,9 @@ import jaxsphere as js
 from jaxsphere.controllers import sliding_mode
 from jaxsphere.models import contact, spatial, spatial_energy
 from jaxsphere.models import spatial_kinematics as kinematics
+from jaxsphere.simulation.closed_loop import Plant
 from jaxsphere.simulation.integrators import rk4
-from jaxsphere.simulation.rollout import Plant, rollout
+from jaxsphere.simulation.rollout import rollout
 
 UNEQUAL = dataclasses.replace(
     js.Robot(), shell_inertia=np.array([0.02, 0.02, 0.027]), gimbal_inertia=np.array([0.003, 0.0021, 0.0011])

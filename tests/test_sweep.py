@@ -70,7 +70,7 @@ def counted(calls):
         calls.append(1)
         return js.rollout(
             js.Plant(lambda x, u: (u[0] - x[0],), lambda x: jnp.int32(0), (False,)),
-            lambda time, x, memory: js.Command((scale * x[0],), (), jnp.int32(0)),
+            lambda time, x, memory: js.ControllerOutput((scale * x[0],), (), jnp.int32(0)),
             (x,),
             dt=jnp.asarray(0.1),
             steps=10,

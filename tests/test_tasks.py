@@ -55,7 +55,7 @@ def test_trajectory_has_the_documented_shapes(figure_4):
 def test_metrics_of_12_s_are_those_of_a_downhill_move_mirrored(slope):
     up, down = (js.rest_to_rest(js.Robot(), s, travel=t, duration=8.0, dt=4e-3) for s, t in ((slope, 10.0), (-slope, -10.0)))
     np.testing.assert_allclose(down.state, -up.state, atol=1e-12)  # the same operations up to sign and rounding
-    for name in ("settling_time", "overshoot", "peak_swing", "peak_torque", "effort", "chatter", "tracking"):
+    for name in ("settling_time", "overshoot", "peak_swing", "peak_torque", "effort", "chatter", "itae"):
         assert getattr(down.metrics, name) == pytest.approx(float(getattr(up.metrics, name)), rel=1e-10, abs=1e-12)
     assert down.metrics.highest_swing == pytest.approx(-float(up.metrics.lowest_swing), rel=1e-12)
 
@@ -96,7 +96,7 @@ def test_jit_of_a_whole_call_gives_the_same(slope):
 
 def test_changed_numbers_do_not_compile_anew(slope):
     SHORT(js.Robot(), slope, torque_limit=5.0)
-    compiled = sys.modules[js.rest_to_rest.__module__]._rest_to_rest
+    compiled = sys.modules[js.simulate.__module__]._compiled
     traces = compiled._cache_size()
     for gains in (js.SlidingModeGains(c1=0.7), js.SlidingModeGains(c1=1, k_i=0.1), js.SlidingModeGains(eta=np.float32(3.0))):
         SHORT(js.Robot(), slope, gains, torque_limit=5.0)

@@ -13,7 +13,8 @@ from scipy.linalg import expm
 import jaxsphere as js
 from jaxsphere.controllers import lean, references, tracking
 from jaxsphere.models import spatial, spatial_kinematics
-from jaxsphere.simulation.rollout import Plant, rollout
+from jaxsphere.simulation.closed_loop import Plant
+from jaxsphere.simulation.rollout import rollout
 
 ROBOT, SLOPE = js.Robot(), np.deg2rad(10.0)
 UNEQUAL = dataclasses.replace(

@@ -69,7 +69,7 @@ def certify(
 
     def lane(scenario: Scenarios, gains: js.SlidingModeGains) -> tuple[Array, Any]:
         robot, plant, slope, initial_state, late, bias = scenario
-        options = settings | {"plant": plant, "initial_state": initial_state, "late": late, "sensor_bias": bias}
+        options = settings | {"plant": plant, "initial_state": initial_state, "delayed": late, "sensor_bias": bias}
         found = js.rest_to_rest(robot, slope, gains, save_every=None, throw=False, **options)
         return found.status, found.metrics
 

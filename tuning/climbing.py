@@ -26,7 +26,7 @@ from jaxsphere.checks import require_choice, require_count, require_scalar
 from jaxsphere.controllers import sliding_mode
 from jaxsphere.models import planar
 from jaxsphere.numerics import Real
-from jaxsphere.simulation.metrics import SETTLING_BAND
+from jaxsphere.tasks.metrics import SETTLING_BAND
 from tuning.objectives import RestToRest, Weights
 from tuning.second_order import levenberg_marquardt
 from tuning.tuner import tune

@@ -25,7 +25,7 @@ from jaxsphere.controllers import references, tracking
 from jaxsphere.models import contact
 from jaxsphere.numerics import Real
 from jaxsphere.simulation.host import check_time_grid
-from jaxsphere.tasks.tracking import spatial_plant
+from jaxsphere.tasks.spatial import spatial_plant
 from tuning.terms import Term, is_off, linear_far_out, require_terms, scalar_of
 
 Components = tuple[Array, ...]

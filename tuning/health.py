@@ -130,7 +130,7 @@ class Audit(NamedTuple):
     smoothing: np.ndarray  # rad/s, 0 for the hard sign
     settling_time: np.ndarray  # s
     peak_swing: np.ndarray  # rad
-    tracking: np.ndarray  # s^2
+    itae: np.ndarray  # s^2
     chatter: np.ndarray  # total variation of the torque, N m
     gap: float  # relative change of the tracking term from the widest to the hard sign
 
@@ -145,8 +145,8 @@ def audit_sign(objective: RestToRest, gains: js.SlidingModeGains, widths: Sequen
         return js.rest_to_rest(*task, limit, plant=objective.plant, control_period=1e-3, save_every=None, throw=False).metrics
 
     found = jax.tree.map(np.asarray, jax.vmap(score)(every))
-    gap = float(abs(found.tracking[-1] - found.tracking[0]) / found.tracking[0])
-    return Audit(np.asarray(every), found.settling_time, found.peak_swing, found.tracking, found.chatter, gap)
+    gap = float(abs(found.itae[-1] - found.itae[0]) / found.itae[0])
+    return Audit(np.asarray(every), found.settling_time, found.peak_swing, found.itae, found.chatter, gap)
 
 
 class Directions(NamedTuple):

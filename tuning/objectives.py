@@ -19,8 +19,8 @@ from jaxsphere.checks import is_concrete
 from jaxsphere.controllers import sliding_mode
 from jaxsphere.models import planar
 from jaxsphere.numerics import Real
-from jaxsphere.simulation.metrics import SETTLING_BAND
-from jaxsphere.tasks.regulation import planar_plant, seen_with
+from jaxsphere.tasks.metrics import SETTLING_BAND
+from jaxsphere.tasks.planar import PlanarTask, planar_plant
 from tuning.diagnosis import first_not_finite
 from tuning.limits import Limits
 from tuning.stability import hurwitz_margins
@@ -114,7 +114,7 @@ class RestToRest:
             plant=self.plant,
             initial_state=self.initial_state,
             control_period=None if self.continuous else self.dt,
-            late=self.late,
+            delayed=self.late,
             sensor_bias=self.sensor_bias,
             method=self.method,
             throw=False,
@@ -209,20 +209,27 @@ class RestToRest:
             weight = (dt * time, *(dt,) * 5)
             return tuple(t + w * rate * rate for t, w, rate in zip(total, weight, rates, strict=False))
 
-        law = sliding_mode.law(self.robot, self.slope, gains, state[0] + self.travel, self.smoothing)
+        law = PlanarTask(
+            self.robot,
+            self.slope,
+            self.travel,
+            initial_state=self.initial_state,
+            smoothing=self.smoothing,
+            sensor_bias=self.sensor_bias,
+        ).law(gains)
         steps = round(self.duration / self.dt)
         trajectory = js.rollout(
             planar_plant(
                 self.robot if self.plant is None else self.plant, jnp.asarray(self.slope), state[0], jnp.asarray(self.travel)
             ),
-            seen_with(self.sensor_bias, law),
+            law,
             state,
             (zero,),
             dt=jnp.asarray(self.dt),
             steps=steps,
             save_every=None,
             hold=None if self.continuous else jnp.int32(1),
-            late=self.late,
+            delayed=self.late,
             torque_limit=None if self.torque_limit is None else jnp.asarray(self.torque_limit),
             measure=js.Measure((zero,) * 6, add, lambda total: total),
             method=self.method,

@@ -1,1 +1,1 @@
-"""Control laws. A law is a function (time, state, memory) -> Command; a rollout knows nothing else about it."""
+"""Control laws. A law is a function (time, state, memory) -> ControllerOutput; a rollout knows nothing else about it."""

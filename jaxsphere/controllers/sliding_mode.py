@@ -26,10 +26,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxsphere.checks import require_choice, require_scalar
-from jaxsphere.command import Command, Status, code
 from jaxsphere.models import climbing, planar
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot
+from jaxsphere.status import ControllerOutput, Status, code
 
 CONVENTIONS = ("corrected", "printed")
 
@@ -186,8 +186,8 @@ def law(
     target: Real,
     smoothing: Real,
     convention: str = "corrected",
-) -> Callable[[Array, planar.State, tuple[Array, ...]], Command]:
-    """Build the control law (time, state, memory) -> Command with torque u = u_eq + u_sw, Eq. (13).
+) -> Callable[[Array, planar.State, tuple[Array, ...]], ControllerOutput]:
+    """Build the control law (time, state, memory) -> ControllerOutput with torque u = u_eq + u_sw, Eq. (13).
 
     Its memory is one state, zeta (rad). The status is SINGULAR_DECOUPLING from where the divisor of (12) is not positive:
     it is positive at rest, so it has crossed zero then. On a slope past the bound (4) it is INFEASIBLE_LEAN.
@@ -201,13 +201,13 @@ def law(
     equilibrium = climbing.equilibrium_swing(robot, slope)
     holdable = climbing.can_hold(robot, slope)
 
-    def control(time: Array, state: planar.State, memory: tuple[Array, ...]) -> Command:
+    def control(time: Array, state: planar.State, memory: tuple[Array, ...]) -> ControllerOutput:
         del time
         (correction,) = memory
         now = signals(lumped, equilibrium, gains, state, correction, target, smoothing, convention)
         status = jnp.where(now.decoupling > 0.0, code(Status.OK), code(Status.SINGULAR_DECOUPLING))
         status = jnp.where(holdable, status, code(Status.INFEASIBLE_LEAN))
-        return Command((now.equivalent + now.switching,), (now.correction_rate,), status)
+        return ControllerOutput((now.equivalent + now.switching,), (now.correction_rate,), status)
 
     return control
 

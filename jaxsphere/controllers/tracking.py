@@ -26,7 +26,6 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxsphere.checks import require_choice, require_scalar
-from jaxsphere.command import Command, Status, code
 from jaxsphere.controllers.lean import Joints, Lean, balancing_lean, joints_to, limit
 from jaxsphere.controllers.references import Pair, Reference, ReferenceFunction
 from jaxsphere.linear_algebra import dot, solve_pair
@@ -35,6 +34,7 @@ from jaxsphere.models.spatial import Affine, State
 from jaxsphere.models.spatial_momentum import BETA1, BETA2, PHI, THETA, Lumped
 from jaxsphere.numerics import Real, sincos
 from jaxsphere.robot import Robot
+from jaxsphere.status import ControllerOutput, Status, code
 
 REALISATIONS = ("pendulum_attitude", "exact", "pseudo_inverse", "ideal")
 
@@ -214,8 +214,8 @@ def law(
     gains: TrackingGains,
     reference: ReferenceFunction,
     realisation: str = "pendulum_attitude",
-) -> Callable[[Array, State, tuple[Array, ...]], Command]:
-    """Build the control law (time, state, memory) -> Command; it has no memory.
+) -> Callable[[Array, State, tuple[Array, ...]], ControllerOutput]:
+    """Build the control law (time, state, memory) -> ControllerOutput; it has no memory.
 
     The torques are drive and tilt (N m). For "ideal" they are five accelerations (rad/s2), the input of `ideal_derivative`. The
     status is INFEASIBLE_LEAN on a slope past the bound (4) and where no lean gives the demand at time 0, and
@@ -230,7 +230,7 @@ def law(
     holdable = balancing_lean(lumped, (0.0, 0.0)).margin >= 0.0
     resting = jnp.where(holdable | (realisation == "ideal"), code(Status.OK), code(Status.INFEASIBLE_LEAN))
 
-    def control(time: Array, state: State, memory: tuple[Array, ...]) -> Command:
+    def control(time: Array, state: State, memory: tuple[Array, ...]) -> ControllerOutput:
         del memory
         now = signals(lumped, gains, reference(time), state, realisation)
         solvable = (now.determinant > 0.0) | (realisation in ("ideal", "pseudo_inverse"))
@@ -238,7 +238,7 @@ def law(
         if realisation == "pendulum_attitude":
             # Later the nearest lean is kept; at the start there is nothing to recover from.
             status = jnp.where((time <= 0.0) & (now.lean.margin < 0.0), code(Status.INFEASIBLE_LEAN), status)
-        return Command(now.torque, (), status)
+        return ControllerOutput(now.torque, (), status)
 
     return control
 

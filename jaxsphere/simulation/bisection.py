@@ -18,8 +18,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.command import Status, code
 from jaxsphere.simulation.pausable import Pausable
+from jaxsphere.status import Status, code
 
 # Factor by which the step grows while the bracket is still open on one side.
 _GROWTH = 4.0

@@ -1,7 +1,8 @@
-"""The host's side of a rollout: settings checked before it, early ends reported after it."""
+"""Argument checks before a rollout and errors after it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -10,18 +11,9 @@ import numpy as np
 from jax import Array
 
 from jaxsphere.checks import is_concrete, require_scalar
-from jaxsphere.command import Status
 from jaxsphere.numerics import Real
 from jaxsphere.simulation.rollout import Trajectory
-
-_ADVICE = {
-    Status.WHIRLING: "the pendulum went over the top; lower z_u or the slope",
-    Status.DIVERGED: "the robot rolled away; check the sign convention, the gains and the torque limit",
-    Status.SINGULAR_DECOUPLING: "it divides by zero; make nonsingularity_margin positive by lowering z_u c2 / phi_z",
-    Status.SINGULAR_COORDINATES: "the lean reached 0 or pi, where the angles are singular; lower the demand",
-    Status.INFEASIBLE_LEAN: "no swing of the pendulum balances the demand; lower the slope or the demand",
-    Status.NONFINITE: "the next state is not finite; lower dt",
-}
+from jaxsphere.status import Status
 
 
 class RolloutError(RuntimeError):
@@ -31,23 +23,26 @@ class RolloutError(RuntimeError):
         super().__init__(message)
         self.trajectory = trajectory
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (*self.args, self.trajectory)
+
 
 def is_single(trajectory: Trajectory) -> bool:
     """Tell whether this is one rollout on the host, not a batch and not traced."""
     return is_concrete(trajectory.status) and jnp.ndim(trajectory.status) == 0
 
 
-def raise_early_end(trajectory: Trajectory, advice: dict[Status, str] | None = None) -> Trajectory:
+def raise_early_end(trajectory: Trajectory, advice: Mapping[Status, str]) -> Trajectory:
     """Raise RolloutError if a single rollout on the host ended early; pass batches and traced rollouts on.
 
     Args:
-        trajectory: what to look at. advice: what to change, for further statuses that are failures of the task.
+        trajectory: the rollout.
+        advice: what to change, for every status that is a failure of the task.
     """
-    known = _ADVICE | (advice or {})
-    if is_single(trajectory) and int(trajectory.status) in known:
+    if is_single(trajectory) and int(trajectory.status) in advice:
         ended = Status(int(trajectory.status))
         raise RolloutError(
-            f"the rollout ended at {float(trajectory.end_time):.3f} s with status {ended.name.lower()}: {known[ended]}, "
+            f"the rollout ended at {float(trajectory.end_time):.3f} s with status {ended.name.lower()}: {advice[ended]}, "
             "or type throw=False to get the trajectory up to there",
             trajectory,
         )
@@ -72,7 +67,7 @@ def check_time_grid(duration: float, dt: Real, save_every: int | None) -> int:
     return steps
 
 
-def check_control_period(period: float | None, dt: Real) -> np.ndarray | None:
+def check_control_period(period: Real | None, dt: Real) -> np.ndarray | None:
     """Return the zero-order hold in steps, None for continuous control. Raises ValueError unless it is a multiple of dt."""
     if period is None:
         return None
@@ -88,9 +83,11 @@ def _whole_multiple(name: str, value: float, dt: float) -> int:
 
 
 def cast(tree: Any, dtype: Any) -> Any:
-    """Return `tree` with every leaf as an array of `dtype`, so that a changed number never compiles anew."""
+    """Return `tree` with every leaf but bools as an array of `dtype`, so that a changed number never compiles anew."""
     return jax.tree.map(lambda leaf: _as_array(leaf, dtype), tree)
 
 
 def _as_array(leaf: Any, dtype: Any) -> Array | np.ndarray:
+    if jnp.issubdtype(jnp.result_type(leaf), jnp.bool_):
+        return np.asarray(leaf) if is_concrete(leaf) else jnp.asarray(leaf)
     return np.asarray(leaf, dtype) if is_concrete(leaf) else jnp.asarray(leaf, dtype)

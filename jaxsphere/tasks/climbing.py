@@ -19,18 +19,18 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxsphere.checks import is_concrete, require_finite_vector, require_scalar
-from jaxsphere.command import Status, code
 from jaxsphere.controllers import sliding_mode
 from jaxsphere.controllers.sliding_mode import SlidingModeGains
 from jaxsphere.models import climbing, planar
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot, check_robot
 from jaxsphere.simulation.bisection import Trial, largest_success, outcome
+from jaxsphere.simulation.closed_loop import ClosedLoop, LoopState, closed_loop
 from jaxsphere.simulation.host import cast, check_control_period, check_time_grid
-from jaxsphere.simulation.metrics import SETTLING_BAND
 from jaxsphere.simulation.pausable import Pausable, run
-from jaxsphere.simulation.rollout import rollout
-from jaxsphere.tasks.regulation import planar_plant
+from jaxsphere.status import Status, code
+from jaxsphere.tasks.metrics import SETTLING_BAND
+from jaxsphere.tasks.planar import planar_plant
 
 # Simulated seconds between two looks at a lane.
 _SEGMENT = 1.0
@@ -200,41 +200,39 @@ def _climb_trial(climb: Climb) -> Trial:
     true = robot if climb.plant is None else climb.plant
     zero = jnp.zeros_like(climbing.climbing_bound(robot))
     hold, steps = _hold(climb), _segment_steps(climb)
-    segments = round(climb.duration / (steps * climb.dt))
+    total = round(climb.duration / climb.dt)
 
-    def start(slope: Array) -> tuple[tuple[Array, ...], tuple[Array, ...], Array]:
-        rest = (zero, zero, climbing.equilibrium_swing(robot, slope), zero)
-        if climb.disturbance is not None:
-            rest = tuple(x + push for x, push in zip(rest, jnp.asarray(climb.disturbance), strict=True))
-        return rest, (zero,), jnp.zeros((), jnp.int32)
-
-    def advance(slope: Array, carry: tuple[tuple[Array, ...], tuple[Array, ...], Array]) -> tuple[Any, Array, Array]:
-        state, memory, count = carry
-        trajectory = rollout(
+    def loop(slope: Array) -> ClosedLoop:
+        return closed_loop(
             planar_plant(true, slope, zero, travel),
             sliding_mode.law(robot, slope, gains, travel, jnp.asarray(climb.smoothing)),
-            state,
-            memory,
             dt=jnp.asarray(climb.dt, zero.dtype),
-            steps=steps,
-            save_every=None,
+            steps=total,
             hold=None if hold is None else jnp.int32(hold),
             torque_limit=None if climb.torque_limit is None else jnp.asarray(climb.torque_limit),
         )
-        state, count = tuple(trajectory.state[-1]), count + 1
-        error = jnp.abs(state[0] - travel)
-        ended = trajectory.status != Status.OK
-        over = count >= segments
+
+    def start(slope: Array) -> LoopState:
+        rest = (zero, zero, climbing.equilibrium_swing(robot, slope), zero)
+        if climb.disturbance is not None:
+            rest = tuple(x + push for x, push in zip(rest, jnp.asarray(climb.disturbance), strict=True))
+        return loop(slope).init(rest, (zero,))
+
+    def advance(slope: Array, now: LoopState) -> tuple[LoopState, Array, Array]:
+        step = loop(slope).step
+        now, _ = jax.lax.scan(lambda one, _: (step(one)[0], None), now, None, length=steps)
+        error = jnp.abs(now.x[0] - travel)
+        ended = now.status != Status.OK
         inside = error <= SETTLING_BAND * jnp.abs(travel)
-        status = jnp.where(ended | inside, trajectory.status, code(Status.NOT_SETTLED))
+        status = jnp.where(ended | inside, now.status, code(Status.NOT_SETTLED))
         lost = error > _LOST * jnp.maximum(jnp.abs(travel), 10.0)
         status = jnp.where(lost & ~ended, code(Status.DIVERGED), status)
-        decided = ended | over
+        decided = ended | (now.index >= total)
         if climb.early:
             decided = decided | lost
             if climb.plant is None:
-                decided = decided | _has_settled(climb, slope, state)
-        return (state, tuple(trajectory.memory[-1]), count), decided, status
+                decided = decided | _has_settled(climb, slope, now.x)
+        return now, decided, status
 
     return Trial(start, advance)
 

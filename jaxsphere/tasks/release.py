@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxsphere.checks import require_scalar
-from jaxsphere.command import Command, Status, code
 from jaxsphere.models import climbing, planar
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot, check_robot
 from jaxsphere.simulation.bisection import Trial, largest_success
+from jaxsphere.simulation.closed_loop import ClosedLoop, LoopState, closed_loop
 from jaxsphere.simulation.host import cast
 from jaxsphere.simulation.pausable import run
-from jaxsphere.simulation.rollout import rollout
+from jaxsphere.status import ControllerOutput, Status, code
 from jaxsphere.tasks.climbing import SteepestSlope, in_seconds
-from jaxsphere.tasks.regulation import planar_plant
+from jaxsphere.tasks.planar import planar_plant
 
 # In units of the pendulum's own time sqrt(I / (m_p g l)): beside the bound by 1e-6 of the torque the whirl takes about 100.
 _RELEASE_STEP = 0.05
@@ -48,23 +46,25 @@ def static_bound_by_release(robot: Robot, tolerance: Real = 1e-5, offset: Real =
 def _static(robot: Robot, tolerance: Array, offset: Array) -> SteepestSlope:
     zero = jnp.zeros_like(climbing.climbing_bound(robot))
     level = planar.lump(robot, zero)
+    total = _RELEASE_STEPS * _RELEASE_SEGMENTS
     dt = _RELEASE_STEP * jnp.sqrt(level.pendulum_inertia / level.pendulum_weight)
 
-    def start(slope: Array) -> tuple[tuple[Array, ...], Array]:
-        return (zero, zero, climbing.equilibrium_swing(robot, slope) + offset, zero), jnp.zeros((), jnp.int32)
+    def loop(slope: Array) -> ClosedLoop:
+        balance = jnp.asarray(planar.lump(robot, slope).slope_torque)
 
-    def advance(slope: Array, carry: tuple[tuple[Array, ...], Array]) -> tuple[Any, Array, Array]:
-        state, count = carry
-        lumped = planar.lump(robot, slope)
-
-        def hold(time: Array, state: planar.State, memory: tuple[Array, ...]) -> Command:
+        def hold(time: Array, state: planar.State, memory: tuple[Array, ...]) -> ControllerOutput:
             del time, state, memory
-            return Command((jnp.asarray(lumped.slope_torque),), (), code(Status.OK))
+            return ControllerOutput((balance,), (), code(Status.OK))
 
-        plant = planar_plant(robot, slope, zero, zero)
-        trajectory = rollout(plant, hold, state, dt=dt, steps=_RELEASE_STEPS, save_every=None)
-        decided = (trajectory.status != Status.OK) | (count + 1 >= _RELEASE_SEGMENTS)
-        return (tuple(trajectory.state[-1]), count + 1), decided, trajectory.status
+        return closed_loop(planar_plant(robot, slope, zero, zero), hold, dt=dt, steps=total)
+
+    def start(slope: Array) -> LoopState:
+        return loop(slope).init((zero, zero, climbing.equilibrium_swing(robot, slope) + offset, zero), ())
+
+    def advance(slope: Array, now: LoopState) -> tuple[LoopState, Array, Array]:
+        step = loop(slope).step
+        now, _ = jax.lax.scan(lambda one, _: (step(one)[0], None), now, None, length=_RELEASE_STEPS)
+        return now, (now.status != Status.OK) | (now.index >= total), now.status
 
     search = largest_success(Trial(start, advance), zero, zero + 0.5 * jnp.pi, tolerance)
     return run(in_seconds(search, _RELEASE_STEPS * dt))

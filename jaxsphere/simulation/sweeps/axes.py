@@ -30,7 +30,7 @@ UNITS = {
     **dict.fromkeys(("phi_z", "k_i", "smoothing"), "rad/s"),
     **dict.fromkeys(("settling_time", "end_time"), "s"),
     **dict.fromkeys(("peak_swing", "lowest_swing", "highest_swing", "peak_lean"), "rad"),
-    **{"peak_torque": "N m", "chatter": "N m", "effort": "(N m)2 s", "rms_error": "m", "late_error": "m", "tracking": "s2"},
+    **{"peak_torque": "N m", "chatter": "N m", "effort": "(N m)2 s", "rms_error": "m", "late_error": "m", "itae": "s2"},
     **{"eta": "rad/s2", "gravity": "m/s2", "a_max": "m/s2", "speed": "m/s", "torque_limit": "N m", "settled_after": "s"},
 }
 Ends = tuple[float, float]

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxsphere.command import Status
 from jaxsphere.simulation.sweeps import axes as ax
 from jaxsphere.simulation.sweeps import store as st
 from jaxsphere.simulation.sweeps.axes import Axis, Column
 from jaxsphere.simulation.sweeps.store import Shards
+from jaxsphere.status import Status
 
 
 class Coordinate(NamedTuple):

@@ -1,4 +1,4 @@
-"""What a control law says at one instant, and what a lane can end with: the words laws and rollouts share."""
+"""Controller output and status codes of a rollout."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def code(status: Status) -> Array:
     return jnp.int32(status)
 
 
-class Command(NamedTuple):
+class ControllerOutput(NamedTuple):
     """Torques (N m), the rates of the law's own states, and a Status code (0 while the law is well defined)."""
 
     torque: tuple[Array, ...]

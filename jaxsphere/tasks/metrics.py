@@ -8,8 +8,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.numerics import Real
-from jaxsphere.simulation.rollout import Measure, State
+from jaxsphere.numerics import Real, safe_sqrt
+from jaxsphere.simulation.closed_loop import Measure, State
 
 SETTLING_BAND = 0.02  # of the travel
 
@@ -26,7 +26,7 @@ class RegulationMetrics(NamedTuple):
     peak_torque: Array  # N m
     effort: Array  # integral of tau^2, (N m)^2 s
     chatter: Array  # total variation of the torque, N m
-    tracking: Array  # integral of t |e| / travel, s^2
+    itae: Array  # integral of t |e| / travel, s^2
 
 
 class _Running(NamedTuple):
@@ -55,7 +55,7 @@ def regulation(target: Array, travel: Array, equilibrium: Array) -> Measure:
             peak_torque=jnp.maximum(last.peak_torque, jnp.abs(tau)),
             effort=last.effort + dt * tau * tau,
             chatter=last.chatter + variation,
-            tracking=last.tracking + dt * time * jnp.abs(error / travel),
+            itae=last.itae + dt * time * jnp.abs(error / travel),
         )
         return _Running(now, tau)
 
@@ -80,9 +80,7 @@ def tracking(reference: Callable[[Array], tuple[Real, Real]], settled_after: Arr
     def update(running: TrackingMetrics, time: Array, state: State, torque: State, dt: Array) -> TrackingMetrics:
         x, y = reference(time)
         square = (state[0] - x) ** 2 + (state[1] - y) ** 2
-        # The distance itself has no derivative at zero.
-        apart = square > 0.0
-        distance = jnp.where(apart, jnp.sqrt(jnp.where(apart, square, 1.0)), 0.0)
+        distance = safe_sqrt(square)
         late = jnp.where(time >= settled_after, distance, 0.0)
         largest = jnp.max(jnp.abs(jnp.stack(torque)), axis=0)
         return TrackingMetrics(
