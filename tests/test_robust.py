@@ -91,7 +91,7 @@ def test_a_late_command_acts_one_period_after_its_sample():
     np.testing.assert_allclose(torque[:10], torque[0], rtol=1e-12)  # the first command rules two periods
     asked = np.asarray(late.diagnostics.equivalent + late.diagnostics.switching)
     np.testing.assert_allclose(torque[10:40:5], asked[5:35:5], rtol=1e-9)
-    with pytest.raises(ValueError, match="late needs a sampled controller"):
+    with pytest.raises(ValueError, match="delayed needs a sampled controller"):
         js.rest_to_rest(js.Robot(), 0.17, delayed=True)
 
 
