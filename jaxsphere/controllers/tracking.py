@@ -29,11 +29,11 @@ from jaxsphere.checks import require_choice, require_scalar
 from jaxsphere.command import Command, Status, code
 from jaxsphere.controllers.lean import Joints, Lean, balancing_lean, joints_to, limit
 from jaxsphere.controllers.references import Pair, Reference, ReferenceFunction
-from jaxsphere.linear_algebra import dot, solve_pair
 from jaxsphere.models import spatial, spatial_kinematics, spatial_momentum
 from jaxsphere.models.spatial import Affine, State
 from jaxsphere.models.spatial_momentum import BETA1, BETA2, PHI, THETA, Lumped
 from jaxsphere.numerics import Real, sincos
+from jaxsphere.numerics.linear_algebra import dot, solve_pair
 from jaxsphere.robot import Robot
 
 REALISATIONS = ("pendulum_attitude", "exact", "pseudo_inverse", "ideal")

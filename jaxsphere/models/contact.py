@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.linear_algebra import Vector3, dot
 from jaxsphere.models import spatial
 from jaxsphere.models import spatial_kinematics as kinematics
 from jaxsphere.models.spatial_kinematics import State
 from jaxsphere.numerics import Real
+from jaxsphere.numerics.linear_algebra import Vector3, dot
 from jaxsphere.robot import Robot
 
 

@@ -33,11 +33,11 @@ from jax import Array
 
 from jaxsphere.checks import is_concrete, require_choice
 from jaxsphere.command import Status, code
-from jaxsphere.linear_algebra import solve_positive_definite, sum_of_products
 from jaxsphere.models import spatial_momentum as momentum
 from jaxsphere.models.spatial_kinematics import CONVENTIONS, IS_VELOCITY, STATE_NAMES, STATE_UNITS, State
 from jaxsphere.models.spatial_momentum import Lumped, lump
 from jaxsphere.numerics import Real, evaluate_once, sincos
+from jaxsphere.numerics.linear_algebra import solve_positive_definite, sum_of_products
 from jaxsphere.robot import Robot
 
 __all__ = [

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.linear_algebra import Vector3, cross, dot, sum_of_products
 from jaxsphere.models.spatial_kinematics import State
 from jaxsphere.numerics import Real, sincos
+from jaxsphere.numerics.linear_algebra import Vector3, cross, dot, sum_of_products
 from jaxsphere.robot import Robot
 
 PSI, THETA, PHI, BETA1, BETA2 = range(5)
