@@ -15,7 +15,8 @@ from jaxsphere.checks import is_concrete, require_choice, require_finite_vector,
 from jaxsphere.command import Status, code
 from jaxsphere.controllers import sliding_mode
 from jaxsphere.controllers.sliding_mode import SlidingModeGains
-from jaxsphere.models import climbing, planar
+from jaxsphere.models import planar
+from jaxsphere.models.equilibrium import can_hold, climbing_bound, equilibrium_swing
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot, check_robot
 from jaxsphere.simulation import metrics
@@ -124,7 +125,7 @@ def _rest_to_rest(
     convention: str,
     method: str,
 ) -> Trajectory:
-    equilibrium = climbing.equilibrium_swing(robot, slope)
+    equilibrium = equilibrium_swing(robot, slope)
     zero = jnp.zeros_like(equilibrium)
     state = (zero, zero, equilibrium, zero) if initial_state is None else tuple(initial_state)
     target = state[0] + travel
@@ -174,8 +175,8 @@ def planar_plant(robot: Robot, slope: Array, start: Array, travel: Array) -> Pla
 
 def require_holdable(robot: Robot, slope: Real) -> None:
     """Raise ValueError when the slope (rad) is past the climbing bound (4) of the robot; for single robots on the host."""
-    if not bool(climbing.can_hold(robot, slope)):
-        bound = float(climbing.climbing_bound(robot))
+    if not bool(can_hold(robot, slope)):
+        bound = float(climbing_bound(robot))
         raise ValueError(
             f"slope = {float(slope):.4g} rad ({math.degrees(float(slope)):.2f} deg) is past the climbing bound of the robot, "
             f"{bound:.4g} rad ({math.degrees(bound):.2f} deg): no swing of its pendulum holds it; type a smaller slope"

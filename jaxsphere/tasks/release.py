@@ -10,7 +10,8 @@ from jax import Array
 
 from jaxsphere.checks import require_scalar
 from jaxsphere.command import Command, Status, code
-from jaxsphere.models import climbing, planar
+from jaxsphere.models import planar
+from jaxsphere.models.equilibrium import climbing_bound, equilibrium_swing
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot, check_robot
 from jaxsphere.simulation.bisection import Trial, largest_success
@@ -46,12 +47,12 @@ def static_bound_by_release(robot: Robot, tolerance: Real = 1e-5, offset: Real =
 
 @jax.jit
 def _static(robot: Robot, tolerance: Array, offset: Array) -> SteepestSlope:
-    zero = jnp.zeros_like(climbing.climbing_bound(robot))
+    zero = jnp.zeros_like(climbing_bound(robot))
     level = planar.lump(robot, zero)
     dt = _RELEASE_STEP * jnp.sqrt(level.pendulum_inertia / level.pendulum_weight)
 
     def start(slope: Array) -> tuple[tuple[Array, ...], Array]:
-        return (zero, zero, climbing.equilibrium_swing(robot, slope) + offset, zero), jnp.zeros((), jnp.int32)
+        return (zero, zero, equilibrium_swing(robot, slope) + offset, zero), jnp.zeros((), jnp.int32)
 
     def advance(slope: Array, carry: tuple[tuple[Array, ...], Array]) -> tuple[Any, Array, Array]:
         state, count = carry

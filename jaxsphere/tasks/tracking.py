@@ -16,7 +16,8 @@ from jaxsphere.command import Status, code
 from jaxsphere.controllers import references, tracking
 from jaxsphere.controllers.references import Pair, ReferenceFunction
 from jaxsphere.controllers.tracking import TrackingGains
-from jaxsphere.models import contact, spatial
+from jaxsphere.models import spatial
+from jaxsphere.models.spatial import contact
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot, check_robot
 from jaxsphere.simulation import metrics
