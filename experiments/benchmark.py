@@ -17,7 +17,8 @@ from experiments.benchmark_pareto import pareto_case
 from experiments.benchmark_sweep import sweep_case
 from experiments.benchmark_tuning import tuning_case
 from experiments.records import Record
-from jaxsphere.models import climbing, planar
+from jaxsphere.models import planar
+from jaxsphere.models.equilibrium import equilibrium_swing
 from jaxsphere.simulation.lanes import over_lanes
 
 DT = 5e-3
@@ -63,7 +64,7 @@ def _diffrax(lanes: int, steps: int) -> Callable[[], Any]:
     gains = js.SlidingModeGains()
 
     def lane(slope: jax.Array) -> jax.Array:
-        lumped, equilibrium = planar.lump(js.Robot(), slope), climbing.equilibrium_swing(js.Robot(), slope)
+        lumped, equilibrium = planar.lump(js.Robot(), slope), equilibrium_swing(js.Robot(), slope)
         law = js.sliding_mode.law(js.Robot(), slope, gains, 10.0, 0.02)
 
         def field(time: Any, state: Any, _: Any) -> tuple[jax.Array, ...]:

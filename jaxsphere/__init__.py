@@ -6,12 +6,12 @@ it switches JAX to float64.
 Where the equations live (`grep -rn "Eq. (12)" jaxsphere` finds the home of any of them):
 
     (1) (5) (60)      models.planar                   dynamics, canonical form
-    (2) - (4)         models.climbing                 equilibrium, bound, poles of the zero dynamics
+    (2) - (4)         models.equilibrium              equilibrium, bound, poles of the zero dynamics
     (6) - (16)        controllers.sliding_mode        decoupled sliding-mode control of the plane
-    (19) - (26), (30), (31), (35), (41) - (43)    models.spatial_kinematics    frames, rolling constraint
-    (27) - (39)       models.spatial_energy           energies and Lagrangian
-    (40)              models.contact                  constraint forces
-    (44) - (46)       models.spatial                  reduced dynamics
+    (19) - (26), (30), (31), (35), (41) - (43)    models.spatial.frames         frames, rolling constraint
+    (27) - (39)       models.spatial.energy           energies and Lagrangian
+    (40)              models.spatial.contact          constraint forces
+    (44) - (46)       models.spatial.dynamics         reduced dynamics
     (47) - (59)       controllers.tracking            trajectory tracking in four realisations
 
 Symbols:
@@ -27,8 +27,8 @@ jax.config.update("jax_enable_x64", True)
 from jaxsphere.controllers import references, sliding_mode, tracking  # noqa: E402
 from jaxsphere.controllers.sliding_mode import SlidingModeGains, nonsingularity_margin, sliding_mode_poles  # noqa: E402
 from jaxsphere.controllers.tracking import TrackingGains  # noqa: E402
-from jaxsphere.models import climbing, planar, spatial  # noqa: E402
-from jaxsphere.models.climbing import (  # noqa: E402
+from jaxsphere.models import equilibrium, planar, spatial  # noqa: E402
+from jaxsphere.models.equilibrium import (  # noqa: E402
     climbing_bound,
     equilibria,
     equilibrium_swing,
@@ -93,7 +93,7 @@ __all__ = [
     "check_climb",
     "check_robot",
     "climb_outcome",
-    "climbing",
+    "equilibrium",
     "climbing_bound",
     "equilibria",
     "equilibrium_swing",

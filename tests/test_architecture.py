@@ -14,7 +14,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGES = ("jaxsphere", "tuning", "experiments")
 
 # Part of jaxsphere -> the parts that it may import. A part is a folder, or a file directly below jaxsphere.
-BASE = {"checks", "status", "files", "numerics", "linear_algebra"}
+BASE = {"checks", "status", "files", "numerics"}
 MODELS = BASE | {"robot", "models"}
 MAY_IMPORT = {
     **dict.fromkeys(BASE, BASE),

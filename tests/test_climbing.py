@@ -31,11 +31,11 @@ def test_both_equilibria_stand_still_under_the_holding_torque(robot, fraction):
 
 def test_bound_is_where_the_sine_reaches_one(robot):
     bound = js.climbing_bound(robot)
-    assert js.climbing.swing_sine(robot, bound) == pytest.approx(1.0, abs=1e-15)  # one rounding
-    assert js.climbing.can_hold(robot, 0.999 * bound)
-    assert js.climbing.can_hold(robot, -0.999 * bound)
-    assert not js.climbing.can_hold(robot, 1.001 * bound)
-    assert not js.climbing.can_hold(robot, -1.001 * bound)
+    assert js.equilibrium.swing_sine(robot, bound) == pytest.approx(1.0, abs=1e-15)  # one rounding
+    assert js.equilibrium.can_hold(robot, 0.999 * bound)
+    assert js.equilibrium.can_hold(robot, -0.999 * bound)
+    assert not js.equilibrium.can_hold(robot, 1.001 * bound)
+    assert not js.equilibrium.can_hold(robot, -1.001 * bound)
 
 
 def test_bound_does_not_depend_on_gravity_or_inertia(robot):

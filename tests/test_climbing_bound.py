@@ -216,7 +216,7 @@ def test_changed_numbers_do_not_compile_anew():
 
 @pytest.mark.parametrize("slope", [-0.1, 0.0, 0.15])
 def test_highest_step_balances_the_moments_about_its_edge(robot, slope):
-    height = js.climbing.highest_step(robot, slope)
+    height = js.equilibrium.highest_step(robot, slope)
     radius = robot.shell_radius
     # Coordinates along and normal to the slope, the contact at the origin, the edge ahead of it at the shell.
     centre = np.array([0.0, radius])
@@ -232,4 +232,4 @@ def test_highest_step_balances_the_moments_about_its_edge(robot, slope):
     total = moment(centre, robot.shell_mass + robot.gimbal_mass) + moment(bob, robot.pendulum_mass)
     scale = robot.pendulum_mass * robot.gravity * radius
     assert float(total) / scale == pytest.approx(0.0, abs=1e-12)
-    assert js.climbing.highest_step(robot, js.climbing_bound(robot) + 0.01) == 0.0
+    assert js.equilibrium.highest_step(robot, js.climbing_bound(robot) + 0.01) == 0.0

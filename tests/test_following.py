@@ -9,8 +9,8 @@ import pytest
 
 import jaxsphere as js
 import tuning
-from jaxsphere.models import contact
-from jaxsphere.models.contact import Contact
+from jaxsphere.models.spatial import contact
+from jaxsphere.models.spatial.contact import Contact
 
 EVERY = tuning.LineWeights(*(0.5 + i for i in range(len(tuning.LineWeights._fields))))
 # Limits low enough that every term but `lost` is at work.

@@ -31,8 +31,8 @@ def test_published_climbing_bounds(name, degrees, digits):
 
 
 def test_roboball_cannot_hold_ten_degrees(slope):
-    assert not js.climbing.can_hold(js.robot_named("roboball_ii"), slope)
-    assert js.climbing.can_hold(js.robot_named("set_a"), slope)
+    assert not js.equilibrium.can_hold(js.robot_named("roboball_ii"), slope)
+    assert js.equilibrium.can_hold(js.robot_named("set_a"), slope)
 
 
 def test_unknown_robot_lists_the_known_ones():

@@ -12,8 +12,10 @@ import spatial_oracle as oracle
 
 import jaxsphere as js
 from jaxsphere.controllers import sliding_mode
-from jaxsphere.models import contact, spatial, spatial_energy
-from jaxsphere.models import spatial_kinematics as kinematics
+from jaxsphere.models import spatial
+from jaxsphere.models.spatial import contact
+from jaxsphere.models.spatial import energy as spatial_energy
+from jaxsphere.models.spatial import frames as kinematics
 from jaxsphere.simulation.closed_loop import Plant
 from jaxsphere.simulation.integrators import rk4
 from jaxsphere.simulation.rollout import rollout

@@ -12,7 +12,8 @@ from scipy.linalg import expm
 
 import jaxsphere as js
 from jaxsphere.controllers import lean, references, tracking
-from jaxsphere.models import spatial, spatial_kinematics
+from jaxsphere.models import spatial
+from jaxsphere.models.spatial import frames
 from jaxsphere.simulation.closed_loop import Plant
 from jaxsphere.simulation.rollout import rollout
 
@@ -106,12 +107,10 @@ def test_joints_reach_the_lean_and_hold_it():
         assert max(abs(float(e)) for e in joints.error) <= np.pi
         there = state.copy()
         there[5:7] += np.array(joints.error)
-        np.testing.assert_allclose(spatial_kinematics.pendulum_direction(there), direction, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(frames.pendulum_direction(there), direction, rtol=0, atol=1e-12)
         along = np.zeros(12)
         along[2:4], along[5:7] = state[7:9], np.array(lean.joints_to(there, direction).rate)
-        drift = jax.jvp(
-            lambda s: jnp.stack(spatial_kinematics.pendulum_direction(s)), (jnp.asarray(there),), (jnp.asarray(along),)
-        )[1]
+        drift = jax.jvp(lambda s: jnp.stack(frames.pendulum_direction(s)), (jnp.asarray(there),), (jnp.asarray(along),))[1]
         np.testing.assert_allclose(drift, 0.0, atol=1e-12)
 
 
@@ -126,14 +125,12 @@ def test_realisations_do_what_their_equations_say():
         outcome = {n: terms[0] + columns @ np.array(s.torque) for n, s in now.items() if n != "ideal"}
         outcome["ideal"] = np.array(now["ideal"].torque)
         for name in ("ideal", "exact"):
-            second = spatial_kinematics.coordinate_accelerations(UNEQUAL, components, tuple(outcome[name]))
+            second = frames.coordinate_accelerations(UNEQUAL, components, tuple(outcome[name]))
             np.testing.assert_allclose(second[:2], now[name].demand, rtol=1e-8, atol=1e-8)
         nearest = np.linalg.pinv(columns) @ (outcome["ideal"] - terms[0])
         np.testing.assert_allclose(now["pseudo_inverse"].torque, nearest, rtol=1e-7, atol=1e-7)
         decoupling = np.asarray(tracking.decoupling_matrix(UNEQUAL, components))
-        wanted = np.array(now["ideal"].demand) - np.array(
-            spatial_kinematics.coordinate_accelerations(UNEQUAL, components, (0.0,) * 5)[:2]
-        )
+        wanted = np.array(now["ideal"].demand) - np.array(frames.coordinate_accelerations(UNEQUAL, components, (0.0,) * 5)[:2])
         np.testing.assert_allclose(outcome["ideal"], np.linalg.pinv(decoupling) @ wanted, rtol=1e-9, atol=1e-9)
         determinant = tracking.decoupling_determinant(UNEQUAL, SLOPE, components)
         assert determinant == pytest.approx(np.linalg.det(decoupling @ columns), rel=1e-8)

@@ -22,7 +22,7 @@ from jax import Array
 import jaxsphere as js
 from jaxsphere.checks import require_count, require_scalar
 from jaxsphere.controllers import references, tracking
-from jaxsphere.models import contact
+from jaxsphere.models.spatial import contact
 from jaxsphere.numerics import Real
 from jaxsphere.simulation.host import check_time_grid
 from jaxsphere.tasks.spatial import spatial_plant

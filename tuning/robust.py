@@ -150,7 +150,7 @@ class Robust:
         """Raise ValueError unless every robot of the scenarios can hold its slope and the objective has terms."""
         require_choice("aggregate", self.aggregate, AGGREGATES)
         self.objective.check()
-        holds = np.asarray(jax.vmap(js.climbing.can_hold)(self.scenarios.plant, self.scenarios.slope))
+        holds = np.asarray(jax.vmap(js.equilibrium.can_hold)(self.scenarios.plant, self.scenarios.slope))
         if not holds.all():
             raise ValueError(
                 f"scenarios: {int(np.sum(~holds))} of {holds.size} robots cannot hold their slope, the first is lane "

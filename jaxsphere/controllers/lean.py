@@ -19,11 +19,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.linear_algebra import Vector3, cross, dot
 from jaxsphere.models.spatial import State
-from jaxsphere.models.spatial_kinematics import frame_angular_velocity
-from jaxsphere.models.spatial_momentum import Lumped
+from jaxsphere.models.spatial.frames import frame_angular_velocity
+from jaxsphere.models.spatial.momentum import Lumped
 from jaxsphere.numerics import Real, sincos
+from jaxsphere.numerics.linear_algebra import Vector3, cross, dot
 
 Pair = tuple[Real, Real]
 

@@ -26,7 +26,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxsphere.checks import require_choice, require_scalar
-from jaxsphere.models import climbing, planar
+from jaxsphere.models import planar
+from jaxsphere.models.equilibrium import can_hold, equilibrium_swing
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot
 from jaxsphere.status import ControllerOutput, Status, code
@@ -198,8 +199,8 @@ def law(
     """
     require_choice("convention", convention, CONVENTIONS)
     lumped = planar.lump(robot, slope)
-    equilibrium = climbing.equilibrium_swing(robot, slope)
-    holdable = climbing.can_hold(robot, slope)
+    equilibrium = equilibrium_swing(robot, slope)
+    holdable = can_hold(robot, slope)
 
     def control(time: Array, state: planar.State, memory: tuple[Array, ...]) -> ControllerOutput:
         del time
@@ -230,7 +231,7 @@ def sliding_mode_poles(robot: Robot, slope: Real, gains: SlidingModeGains, *, se
     plane. With `seeking` the correction zeta is included, and there are four.
     """
     lumped = planar.lump(robot, slope)
-    equilibrium = climbing.equilibrium_swing(robot, slope)
+    equilibrium = equilibrium_swing(robot, slope)
     gains = gains if seeking else replace(gains, k_i=0.0)
 
     def on_surface(reduced: Array) -> Array:

@@ -28,11 +28,11 @@ from jax import Array
 from jaxsphere.checks import require_choice, require_scalar
 from jaxsphere.controllers.lean import Joints, Lean, balancing_lean, joints_to, limit
 from jaxsphere.controllers.references import Pair, Reference, ReferenceFunction
-from jaxsphere.linear_algebra import dot, solve_pair
-from jaxsphere.models import spatial, spatial_kinematics, spatial_momentum
-from jaxsphere.models.spatial import Affine, State
-from jaxsphere.models.spatial_momentum import BETA1, BETA2, PHI, THETA, Lumped
+from jaxsphere.models import spatial
+from jaxsphere.models.spatial import Affine, State, frames, momentum
+from jaxsphere.models.spatial.momentum import BETA1, BETA2, PHI, THETA, Lumped
 from jaxsphere.numerics import Real, sincos
+from jaxsphere.numerics.linear_algebra import dot, solve_pair
 from jaxsphere.robot import Robot
 from jaxsphere.status import ControllerOutput, Status, code
 
@@ -110,12 +110,12 @@ def error_poles(gains: TrackingGains) -> Array:
 
 def decoupling_matrix(robot: Robot, state: State) -> Array:
     """Decoupling matrix Phi(q) = J_h C, (2, 5), m, with y'' = Phi v' + Phi' v, Eq. (50)."""
-    return spatial_kinematics.null_space(robot, state)[:2]
+    return frames.null_space(robot, state)[:2]
 
 
 def decoupling_determinant(robot: Robot, slope: Real, state: State) -> Array:
     """Determinant of Phi G (2 x 2), from the two torques to the centre's acceleration, 1/kg2; `exact` divides by it."""
-    radius, lumped = robot.shell_radius, spatial_momentum.lump(robot, slope)
+    radius, lumped = robot.shell_radius, momentum.lump(robot, slope)
     return -(radius**2) * sincos(state[3])[0] * _determinant(spatial.affine(lumped, state), _OUTPUT_PAIR)
 
 
@@ -124,8 +124,8 @@ def assigned_accelerations(lumped: Lumped, state: State, demand: Pair) -> tuple[
 
     Differs from the paper: the pseudo-inverse of Phi stands for its inverse; u is zero on psi, beta1 and beta2.
     """
-    angles, velocity = spatial_momentum.angles_of(state), tuple(state)[7:]
-    _, (drift_x, drift_y) = spatial_momentum.center_of(lumped, angles, velocity, "corrected")
+    angles, velocity = momentum.angles_of(state), tuple(state)[7:]
+    _, (drift_x, drift_y) = momentum.center_of(lumped, angles, velocity, "corrected")
     along_x = angles.c_psi * demand[0] + angles.s_psi * demand[1] - drift_x
     along_y = angles.c_psi * demand[1] - angles.s_psi * demand[0] - drift_y
     return along_x / lumped.radius, -along_y / (lumped.radius * angles.s_theta)
@@ -133,7 +133,7 @@ def assigned_accelerations(lumped: Lumped, state: State, demand: Pair) -> tuple[
 
 def ideal_derivative(robot: Robot, state: State, accelerations: State) -> tuple[Real, ...]:
     """Time derivative (C v, u) of a state whose five accelerations u (rad/s2) are the input, Eq. (48)."""
-    return (*spatial_kinematics.coordinate_rates(robot, state), *accelerations)
+    return (*frames.coordinate_rates(robot, state), *accelerations)
 
 
 def pseudo_inverse_torque(terms: Affine, accelerations: tuple[Real, ...]) -> tuple[Array, Array]:
@@ -186,7 +186,7 @@ def signals(
         lumped: robot and slope that the controller believes in. gains: the gains. reference: desired motion at this instant.
         state: 12 components. realisation: one of REALISATIONS.
     """
-    velocity = spatial_momentum.center_velocity(lumped, state)
+    velocity = momentum.center_velocity(lumped, state)
     error = tracking_error(reference, state)
     demand = demanded_acceleration(gains, reference, error, velocity)
     attitude = realisation == "pendulum_attitude"
@@ -226,7 +226,7 @@ def law(
         realisation: one of REALISATIONS.
     """
     require_choice("realisation", realisation, REALISATIONS)
-    lumped = spatial_momentum.lump(robot, slope)
+    lumped = momentum.lump(robot, slope)
     holdable = balancing_lean(lumped, (0.0, 0.0)).margin >= 0.0
     resting = jnp.where(holdable | (realisation == "ideal"), code(Status.OK), code(Status.INFEASIBLE_LEAN))
 
@@ -252,7 +252,7 @@ def resting_state(robot: Robot, slope: Real, position: Pair = (0.0, 0.0), headin
     zero = jnp.zeros_like(jnp.asarray(slope, jnp.result_type(float, slope)))
     right = zero + 0.5 * jnp.pi
     upright = (zero + position[0], zero + position[1], heading + right, right, *(zero,) * 8)
-    gimbal, pendulum = joints_to(upright, balancing_lean(spatial_momentum.lump(robot, slope), (zero, zero)).direction).error
+    gimbal, pendulum = joints_to(upright, balancing_lean(momentum.lump(robot, slope), (zero, zero)).direction).error
     return (*upright[:5], gimbal, pendulum, *upright[7:])
 
 
@@ -262,7 +262,7 @@ def zero_dynamics_poles(robot: Robot, slope: Real, heading: Real = 0.0) -> Array
     The states left are psi, theta, phi, beta1, beta2, psi', beta1' and beta2'. A pole in the right half plane means that the
     centre is a non-minimum-phase output: no law that prescribes it exactly is internally stable.
     """
-    lumped = spatial_momentum.lump(robot, slope)
+    lumped = momentum.lump(robot, slope)
     kept = jnp.array([2, 3, 4, 5, 6, 7, 10, 11])
     rest = jnp.stack(resting_state(robot, slope, heading=heading))
 

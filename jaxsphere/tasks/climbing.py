@@ -21,7 +21,8 @@ from jax import Array
 from jaxsphere.checks import is_concrete, require_finite_vector, require_scalar
 from jaxsphere.controllers import sliding_mode
 from jaxsphere.controllers.sliding_mode import SlidingModeGains
-from jaxsphere.models import climbing, planar
+from jaxsphere.models import planar
+from jaxsphere.models.equilibrium import climbing_bound, equilibrium_swing
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot, check_robot
 from jaxsphere.simulation.bisection import Trial, largest_success, outcome
@@ -127,7 +128,7 @@ def slope_search(climb: Climb, tolerance: Real = 1e-5, guess: Real | None = None
     if guess is not None:
         require_scalar("guess", guess, unit="rad")
     climb, tolerance, guess = cast((check_climb(climb), tolerance, guess), dtype or jnp.float64)
-    limit = climbing.climbing_bound(climb.robot if climb.plant is None else climb.plant)
+    limit = climbing_bound(climb.robot if climb.plant is None else climb.plant)
     tolerance = jnp.asarray(tolerance)
     # Half a bracket below a good guess: the next step closes the bracket around it.
     first, step = (None, None) if guess is None else (guess - 0.5 * tolerance, tolerance)
@@ -198,7 +199,7 @@ def _segment_steps(climb: Climb) -> int:
 def _climb_trial(climb: Climb) -> Trial:
     robot, gains, travel = climb.robot, climb.gains, jnp.asarray(climb.travel)
     true = robot if climb.plant is None else climb.plant
-    zero = jnp.zeros_like(climbing.climbing_bound(robot))
+    zero = jnp.zeros_like(climbing_bound(robot))
     hold, steps = _hold(climb), _segment_steps(climb)
     total = round(climb.duration / climb.dt)
 
@@ -213,7 +214,7 @@ def _climb_trial(climb: Climb) -> Trial:
         )
 
     def start(slope: Array) -> LoopState:
-        rest = (zero, zero, climbing.equilibrium_swing(robot, slope), zero)
+        rest = (zero, zero, equilibrium_swing(robot, slope), zero)
         if climb.disturbance is not None:
             rest = tuple(x + push for x, push in zip(rest, jnp.asarray(climb.disturbance), strict=True))
         return loop(slope).init(rest, (zero,))
@@ -241,7 +242,7 @@ def _has_settled(climb: Climb, slope: Array, state: planar.State) -> Array:
     """Tell (bool) whether the linearised sliding motion alone decides the rest of the climb."""
     alpha, alpha_rate, swing, swing_rate = state
     robot, gains = climb.robot, climb.gains
-    lumped, rest = planar.lump(robot, slope), climbing.equilibrium_swing(robot, slope)
+    lumped, rest = planar.lump(robot, slope), equilibrium_swing(robot, slope)
     zero = jnp.zeros_like(rest)
     m11, m12, m22 = planar.inertia(lumped, (zero, zero, rest, zero))
     # Routh's conditions of the paper's law; with k_i the target is reached more slowly and nothing is decided early.

@@ -16,7 +16,8 @@ from jax import Array
 from jaxsphere.checks import is_concrete, require_choice, require_finite_vector, require_scalar
 from jaxsphere.controllers import sliding_mode
 from jaxsphere.controllers.sliding_mode import SlidingModeGains
-from jaxsphere.models import climbing, planar
+from jaxsphere.models import planar
+from jaxsphere.models.equilibrium import can_hold, climbing_bound, equilibrium_swing
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot, check_robot
 from jaxsphere.simulation.closed_loop import Law, Measure, Plant, State
@@ -91,7 +92,7 @@ class PlanarTask:
 
     def start(self) -> tuple[State, State]:
         """Initial state (alpha, alpha', phi, phi') and the law's memory zeta."""
-        equilibrium = climbing.equilibrium_swing(self.robot, self.slope)
+        equilibrium = equilibrium_swing(self.robot, self.slope)
         zero = jnp.zeros_like(equilibrium)
         state = (zero, zero, equilibrium, zero) if self.initial_state is None else tuple(self.initial_state)
         if self.disturbance is not None:
@@ -119,7 +120,7 @@ class PlanarTask:
 
     def measure(self) -> Measure:
         """Metrics of the move."""
-        return metrics.regulation(self.target(), jnp.asarray(self.travel), climbing.equilibrium_swing(self.robot, self.slope))
+        return metrics.regulation(self.target(), jnp.asarray(self.travel), equilibrium_swing(self.robot, self.slope))
 
     def conclude(self, gains: SlidingModeGains, trajectory: Trajectory, dt: Array, diagnostics: bool) -> Trajectory:
         """Trajectory with NOT_SETTLED where it did not settle, and the controller's `Signals` (T,) where asked for."""
@@ -128,7 +129,7 @@ class PlanarTask:
         status = jnp.where((trajectory.status == Status.OK) & ~settled, code(Status.NOT_SETTLED), trajectory.status)
         signals = None
         if diagnostics:
-            lumped, equilibrium = planar.lump(self.robot, self.slope), climbing.equilibrium_swing(self.robot, self.slope)
+            lumped, equilibrium = planar.lump(self.robot, self.slope), equilibrium_swing(self.robot, self.slope)
             states, corrections = tuple(trajectory.state.T), trajectory.memory[:, 0]
             signals = sliding_mode.signals(
                 lumped, equilibrium, gains, states, corrections, self.target(), self.smoothing, self.convention
@@ -233,9 +234,9 @@ def require_holdable(robot: Robot, slope: Real) -> None:
 
 def past_bound(robot: Robot, slope: Real) -> str:
     """Sentence that says by how much the slope (rad) is past the climbing bound (4), empty where it is not."""
-    if bool(climbing.can_hold(robot, slope)):
+    if bool(can_hold(robot, slope)):
         return ""
-    bound = float(climbing.climbing_bound(robot))
+    bound = float(climbing_bound(robot))
     return (
         f"slope = {float(slope):.4g} rad ({math.degrees(float(slope)):.2f} deg) is past the climbing bound of the robot, "
         f"{bound:.4g} rad ({math.degrees(bound):.2f} deg): no swing of its pendulum holds it; type a smaller slope"

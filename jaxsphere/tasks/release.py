@@ -7,7 +7,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxsphere.checks import require_scalar
-from jaxsphere.models import climbing, planar
+from jaxsphere.models import planar
+from jaxsphere.models.equilibrium import climbing_bound, equilibrium_swing
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot, check_robot
 from jaxsphere.simulation.bisection import Trial, largest_success
@@ -44,7 +45,7 @@ def static_bound_by_release(robot: Robot, tolerance: Real = 1e-5, offset: Real =
 
 @jax.jit
 def _static(robot: Robot, tolerance: Array, offset: Array) -> SteepestSlope:
-    zero = jnp.zeros_like(climbing.climbing_bound(robot))
+    zero = jnp.zeros_like(climbing_bound(robot))
     level = planar.lump(robot, zero)
     total = _RELEASE_STEPS * _RELEASE_SEGMENTS
     dt = _RELEASE_STEP * jnp.sqrt(level.pendulum_inertia / level.pendulum_weight)
@@ -59,7 +60,7 @@ def _static(robot: Robot, tolerance: Array, offset: Array) -> SteepestSlope:
         return closed_loop(planar_plant(robot, slope, zero, zero), hold, dt=dt, steps=total)
 
     def start(slope: Array) -> LoopState:
-        return loop(slope).init((zero, zero, climbing.equilibrium_swing(robot, slope) + offset, zero), ())
+        return loop(slope).init((zero, zero, equilibrium_swing(robot, slope) + offset, zero), ())
 
     def advance(slope: Array, now: LoopState) -> tuple[LoopState, Array, Array]:
         step = loop(slope).step

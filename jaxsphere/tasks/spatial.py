@@ -17,7 +17,8 @@ from jaxsphere.checks import is_concrete, require_choice, require_finite_vector,
 from jaxsphere.controllers import references, tracking
 from jaxsphere.controllers.references import Pair, ReferenceFunction
 from jaxsphere.controllers.tracking import TrackingGains
-from jaxsphere.models import contact, spatial
+from jaxsphere.models import spatial
+from jaxsphere.models.spatial import contact
 from jaxsphere.numerics import Real, safe_sqrt
 from jaxsphere.robot import Robot, check_robot
 from jaxsphere.simulation.closed_loop import Law, Measure, Plant, State

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.numerics import Real, evaluate_once
+from jaxsphere.numerics.fences import Real, evaluate_once
 
 Vector3 = tuple[Real, Real, Real]
 

@@ -1,6 +1,6 @@
 """Is rolling credible? The forces at the contact point that rolling without slipping needs: the lambda of (40) and the normal.
 
-Symbols, frames and the layout of a state are those of `spatial_kinematics`. All of it is the balance of momentum of the whole
+Symbols, frames and the layout of a state are those of `frames`. All of it is the balance of momentum of the whole
 robot: central mass m + m_i at the centre, m_p at the bob.
 """
 
@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.linear_algebra import Vector3, dot
-from jaxsphere.models import spatial
-from jaxsphere.models import spatial_kinematics as kinematics
-from jaxsphere.models.spatial_kinematics import State
+from jaxsphere.models.spatial import dynamics
+from jaxsphere.models.spatial import frames as kinematics
+from jaxsphere.models.spatial.frames import State
 from jaxsphere.numerics import Real
+from jaxsphere.numerics.linear_algebra import Vector3, dot
 from jaxsphere.robot import Robot
 
 
@@ -56,7 +56,7 @@ def constraint_force(
 def _contact_force(
     robot: Robot, slope: Real, state: State, torque: Sequence[Array], convention: str
 ) -> tuple[Array, Array, Array]:
-    rates = spatial.derivative_components(spatial.lump(robot, slope), state, torque, convention)
+    rates = dynamics.derivative_components(dynamics.lump(robot, slope), state, torque, convention)
 
     def momentum(now: State) -> Vector3:
         x_rate, y_rate = kinematics.rolling_velocity(robot, now, convention)

@@ -1,6 +1,6 @@
 """Energies of the spatial robot, body by body: equations (27)-(29), (32)-(34) and (36)-(39).
 
-Symbols, frames and the layout of a state are those of `spatial_kinematics`. Heights count from the plane through the origin of
+Symbols, frames and the layout of a state are those of `frames`. Heights count from the plane through the origin of
 O, along the vertical.
 """
 
@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.linear_algebra import Vector3, dot
-from jaxsphere.models import spatial_kinematics as kinematics
-from jaxsphere.models.spatial_kinematics import State
+from jaxsphere.models.spatial import frames as kinematics
+from jaxsphere.models.spatial.frames import State
 from jaxsphere.numerics import Real
+from jaxsphere.numerics.linear_algebra import Vector3, dot
 from jaxsphere.robot import Robot
 
 

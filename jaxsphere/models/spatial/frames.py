@@ -27,8 +27,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.linear_algebra import Vector3, cross
 from jaxsphere.numerics import Real, sincos
+from jaxsphere.numerics.linear_algebra import Vector3, cross
 from jaxsphere.robot import Robot
 
 STATE_NAMES = (

@@ -1,11 +1,11 @@
 """Dynamics of the spatial robot on a slope: equations (45) and (46).
 
-Symbols, frames and the layout of a state are those of `spatial_kinematics`. The two torques (N m) are
+Symbols, frames and the layout of a state are those of `frames`. The two torques (N m) are
 
     tau1    drive: between gimbal and shell, about the spin axis; tau1 > 0 rolls the shell forward
     tau2    tilt: between gimbal and pendulum, about y of C
 
-Everything is written in frames that do not see the precession (`spatial_momentum`), where velocities and inertia depend on
+Everything is written in frames that do not see the precession (`momentum`), where velocities and inertia depend on
 theta, beta1 and beta2 alone; psi enters through gravity. Every speed that carries momentum is a row J(q) v:
 
     M(q) = sum J^T m J        h(q, v) = sum J^T m (J' v + Omega x J v - gravity)        M v' + h = C^T B tau
@@ -32,35 +32,13 @@ import numpy as np
 from jax import Array
 
 from jaxsphere.checks import is_concrete, require_choice
-from jaxsphere.linear_algebra import solve_positive_definite, sum_of_products
-from jaxsphere.models import spatial_momentum as momentum
-from jaxsphere.models.spatial_kinematics import CONVENTIONS, IS_VELOCITY, STATE_NAMES, STATE_UNITS, State
-from jaxsphere.models.spatial_momentum import Lumped, lump
+from jaxsphere.models.spatial import momentum
+from jaxsphere.models.spatial.frames import CONVENTIONS, STATE_NAMES, State
+from jaxsphere.models.spatial.momentum import Lumped, lump
 from jaxsphere.numerics import Real, evaluate_once, sincos
+from jaxsphere.numerics.linear_algebra import solve_positive_definite, sum_of_products
 from jaxsphere.robot import Robot
 from jaxsphere.status import Status, code
-
-__all__ = [
-    "CONVENTIONS",
-    "IS_VELOCITY",
-    "STATE_NAMES",
-    "STATE_UNITS",
-    "Affine",
-    "Lumped",
-    "Reduced",
-    "State",
-    "accelerations",
-    "affine",
-    "check_spatial_robot",
-    "derivative",
-    "derivative_components",
-    "input_columns",
-    "is_singular",
-    "lump",
-    "mass_matrix",
-    "reduced",
-    "status",
-]
 
 # Nearer than this to 0 or pi (rad) the lean counts as singular: precession and spin are then about nearly the same axis.
 SINGULAR_LEAN = 0.05

@@ -1,8 +1,4 @@
-"""Numerical primitives that decide how fast a rollout runs; no physics.
-
-XLA may recompute a cheap value inside every fused kernel that reads it. `evaluate_once` stops that: a division counts as
-expensive and is never duplicated, and the compiler cannot prove that the divisor below is one.
-"""
+"""Sine and cosine as polynomials that vectorise on the CPU; no physics."""
 
 from __future__ import annotations
 
@@ -13,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-# A real number of the user's or of a traced program; NumPy scalars and arrays serve as well.
-Real = float | Array
+from jaxsphere.numerics.fences import Real, evaluate_once
 
 # pi/2 in three parts (Cody and Waite): the first two carry 33 bits each, so that multiples of them up to 2**20 are exact.
 _HALF_PI_64 = (1.5707963267341256e00, 6.0771005063039660e-11, 2.0222662487959506e-21)
@@ -40,17 +35,6 @@ _COS_64 = (
 )
 _SIN_32 = (-1.6666654611e-1, 8.3321608736e-3, -1.9515295891e-4)
 _COS_32 = (4.166664568298827e-2, -1.388731625493765e-3, 2.443315711809948e-5)
-
-
-def evaluate_once(value: Array) -> Array:
-    """Return `value` unchanged (non-finite values become NaN) as something that XLA computes once and then reads."""
-    return value / (1.0 + 0.0 * jax.lax.stop_gradient(value))
-
-
-def safe_sqrt(square: Array) -> Array:
-    """Square root of a sum of squares, with derivative 0 at 0, where the root itself has none."""
-    positive = square > 0.0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
 def _polynomial(coefficients: tuple[float, ...], x: Array) -> Array:

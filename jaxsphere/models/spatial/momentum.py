@@ -1,6 +1,6 @@
 """Momentum of the spatial robot, body by body, in frames that do not see the precession.
 
-Symbols and frames are those of `spatial_kinematics`; P is the frame turned by psi only. Every speed that carries momentum is a
+Symbols and frames are those of `frames`; P is the frame turned by psi only. Every speed that carries momentum is a
 row J(q) v of `momentum_rows`, in this order: the centre in P (2), the shell's turning in B (3), the gimbal's in C (3), the bob
 in D (3). Rows depend on theta, beta1 and beta2 alone (on psi too with the printed constraints) and list nonzero columns only.
 """
@@ -13,9 +13,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.linear_algebra import Vector3, cross, dot, sum_of_products
-from jaxsphere.models.spatial_kinematics import State
+from jaxsphere.models.spatial.frames import State
 from jaxsphere.numerics import Real, sincos
+from jaxsphere.numerics.linear_algebra import Vector3, cross, dot, sum_of_products
 from jaxsphere.robot import Robot
 
 PSI, THETA, PHI, BETA1, BETA2 = range(5)

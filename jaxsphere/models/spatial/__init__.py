@@ -1,0 +1,43 @@
+"""The spatial robot on a slope: frames and rolling, dynamics, energies and contact forces."""
+
+from jaxsphere.models.spatial.dynamics import (
+    SINGULAR_LEAN,
+    Affine,
+    Lumped,
+    Reduced,
+    accelerations,
+    affine,
+    check_spatial_robot,
+    derivative,
+    derivative_components,
+    input_columns,
+    is_singular,
+    lump,
+    mass_matrix,
+    reduced,
+    status,
+)
+from jaxsphere.models.spatial.frames import CONVENTIONS, IS_VELOCITY, STATE_NAMES, STATE_UNITS, State
+
+__all__ = [
+    "CONVENTIONS",
+    "IS_VELOCITY",
+    "STATE_NAMES",
+    "STATE_UNITS",
+    "Affine",
+    "Lumped",
+    "Reduced",
+    "State",
+    "SINGULAR_LEAN",
+    "accelerations",
+    "affine",
+    "check_spatial_robot",
+    "derivative",
+    "derivative_components",
+    "input_columns",
+    "is_singular",
+    "lump",
+    "mass_matrix",
+    "reduced",
+    "status",
+]
