@@ -14,7 +14,7 @@ from tqdm.auto import tqdm
 import jaxsphere as js
 from experiments.climbing_axes import Axis, Setting, at, of_climb
 from jaxsphere.models import planar
-from jaxsphere.simulation.refinement import refine
+from jaxsphere.sweep.refine import refine
 
 # Lanes per call: as many as are done between two moves of the progress bar.
 _CHUNK = 16384
