@@ -39,7 +39,8 @@ def fingerprint_of(function: Callable[..., Any], *example_arguments: Any) -> str
     Returns:
         64 hexadecimal digits, the same in every process with the same versions of JAX and of the libraries that are traced.
     """
-    return fingerprint_of_jaxpr(jax.make_jaxpr(function)(*example_arguments))
+    # A function made anew, because JAX does not trace one again that it has met.
+    return fingerprint_of_jaxpr(jax.make_jaxpr(lambda *arguments: function(*arguments))(*example_arguments))
 
 
 def fingerprint_of_jaxpr(program: Any) -> str:

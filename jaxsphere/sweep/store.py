@@ -83,7 +83,7 @@ class Memory:
 
     def write(self, index: int, record: Record) -> None:
         """Keep the outputs of one chunk."""
-        self.records[index] = record
+        self.records[index] = {name: record[name] for name in self.layout.names or ()}
 
 
 @dataclass
