@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +26,7 @@ from jaxsphere.sweep import leaves, processes, schema
 from jaxsphere.sweep import store as st
 from jaxsphere.sweep.axes import Axis
 from jaxsphere.sweep.chunks import Chunks, cut
+from jaxsphere.sweep.refine import Boundaries, Guesses, require_refinable
 from jaxsphere.sweep.results import SweepResults
 from jaxsphere.sweep.store import Record, Shards
 from jaxsphere.units import declared_units
@@ -50,6 +52,7 @@ def sweep(
     axes: Axis | Sequence[Axis] = (),
     *,
     outputs: Sequence[str] = (),
+    refine: Boundaries | Guesses | None = None,
     dtype: Any = jnp.float64,
     chunk: int | None = None,
     store: str | Path | None = None,
@@ -67,6 +70,8 @@ def sweep(
         base: the arguments of every lane.
         axes: what varies, one axis or several (their product), see `jaxsphere.axes`.
         outputs: names of the outputs to keep beside the status; all of them by default.
+        refine: for two axes, `Boundaries` computes lanes only where neighbours disagree, `Guesses` gives every lane the mean of
+            its neighbours on a coarser grid; every lane alike by default.
         dtype: of the swept numbers and of the arrays in base; a lane with an argument called dtype gets it too.
         chunk: lanes computed and stored at once, at most; by default what 64 MiB hold, 65536 at most.
         store: folder for the results, for sweeps that may be killed or exceed the memory; `xarray.open_zarr(store)` reads it.
@@ -86,35 +91,51 @@ def sweep(
     axes = ax.with_units(axes, declared_units(dict(base or {})))
     lanes = ax.lane_count(axes)
     block = min(BLOCK if jax.default_backend() == "cpu" else WIDE_BLOCK, -(-lanes // VECTOR) * VECTOR)
-    program = _trace(lane, dict(base or {}), [column.leaf for axis in axes for column in axis.columns], outputs, dtype, block)
+    names = [column.leaf for axis in axes for column in axis.columns]
+    names += [refine.argument] if isinstance(refine, Guesses) else []
+    program = _trace(lane, dict(base or {}), names, outputs, dtype, block)
+    if refine is not None:
+        program = _refinable(program, refine, axes)
+    fill = _fill if refine is None else partial(_fill_refined, refine)
     lane_bytes = program.layout.itemsize + 8 * len(axes)
     chunks = cut(ax.shape(axes), chunk or max(block, min(CHUNK, CHUNK_BYTES // lane_bytes)))
     if store is None:
         if resume:
             raise ValueError("resume = True needs the folder of the sweep to finish; type store='...' too")
         memory = st.Memory(chunks, program.layout, program.units)
-        _fill(memory, set(), program, axes, progress, "nothing is kept; type store='...' to be able to go on next time")
+        fill(memory, set(), program, axes, progress, "nothing is kept; type store='...' to be able to go on next time")
         return SweepResults(axes, processes.gather(memory))
     schema.require_storable(program.layout.names or (), axes)
-    shards = _open(Path(store), st.describe(_spec(program, base, axes, dtype), identity.versions(), chunks), resume)
+    shards = _open(Path(store), st.describe(_spec(program, base, axes, dtype, refine), identity.versions(), chunks), resume)
     whole, damaged = shards.check(processes.dealt(len(shards.chunks)))
     if damaged:
         listing = ", ".join(map(str, damaged))
         warnings.warn(f"damaged chunks of {str(store)!r}, computed again: {listing}", stacklevel=2)
         shards.discard(damaged)
-    _fill(shards, whole, program, axes, progress, st.RESUME)
+    fill(shards, whole, program, axes, progress, st.RESUME)
     processes.wait_for_all("computed")
     return SweepResults(axes, shards, tuple(damaged))
 
 
-def _spec(program: _Program, base: Mapping[str, Any] | None, axes: Sequence[Axis], dtype: Any) -> dict[str, Any]:
+def _spec(program: _Program, base: Mapping[str, Any] | None, axes: Sequence[Axis], dtype: Any, refine: Any) -> dict[str, Any]:
     kinds = program.layout
     outputs = {
         name: {"dtype": kinds[name].base.str, "shape": list(kinds[name].shape), "unit": program.units[name]}
         for name in kinds.names or ()
     }
     said = identity.described({"base": base or {}, "axes": axes, "dtype": np.dtype(dtype).name, "outputs": outputs})
-    return {"lane": program.fingerprint} | said
+    return {"lane": program.fingerprint} | said | ({} if refine is None else {"refine": identity.described(refine)})
+
+
+def _refinable(program: _Program, refine: Boundaries | Guesses, axes: Sequence[Axis]) -> _Program:
+    """The program with what a refinement adds to its outputs."""
+    require_refinable(refine, ax.shape(axes), program.layout.names or ())
+    if jax.process_count() > 1:
+        raise ValueError("refine works in one process; leave it out, or start one process")
+    if isinstance(refine, Guesses):
+        return program
+    kinds = [(name, program.layout[name].base, program.layout[name].shape) for name in program.layout.names or ()]
+    return program._replace(layout=np.dtype([*kinds, ("simulated", np.bool_)]), units=program.units | {"simulated": ""})
 
 
 def _trace(
@@ -168,6 +189,57 @@ def _fill(
         raise st.SweepError(f"the memory does not hold chunk = {chunks.size} lanes; type a smaller chunk") from None
 
 
+def _fill_refined(
+    refine: Boundaries | Guesses,
+    shards: Shards,
+    done: Set[int],
+    program: _Program,
+    axes: Sequence[Axis],
+    progress: Progress | None,
+    advice: str,
+) -> None:
+    """Compute the lanes that the plan asks for and write all chunks that are not `done` at the end.
+
+    What is computed until then lies in the journal of the store. The whole grid is in memory.
+    """
+    chunks, layout = shards.chunks, program.layout
+    if len(done) == len(chunks):
+        return
+    names = layout.names or ()
+    found = {n: np.full((chunks.lanes, *layout[n].shape), schema.missing(layout[n].base)) for n in names}
+    plan, finished, batch = refine.plan((chunks.shape[0], chunks.shape[1])), 0, 0
+    try:
+        rows, columns, guess = next(plan)
+        while True:
+            lanes = rows * chunks.shape[1] + columns
+            for start in range(0, len(lanes), chunks.size):
+                part = slice(start, start + chunks.size)
+                record = shards.recall(batch)
+                if record is None:
+                    values = ax.arguments_at(axes, lanes[part])
+                    values |= {} if guess is None else {refine.argument: guess[part]}  # type: ignore[union-attr]
+                    record = _fetched(program.run(values), layout, len(lanes[part]))
+                    shards.remember(batch, record)
+                for name, one in record.items():
+                    found[name][lanes[part]] = one
+                finished, batch = finished + len(lanes[part]), batch + 1
+                if progress:
+                    progress(finished, chunks.lanes)
+            rows, columns, guess = plan.send(found[refine.output][lanes])
+    except StopIteration as stop:
+        if stop.value is not None:
+            found[refine.output][:] = stop.value.outcomes.ravel()
+            found["simulated"][:] = stop.value.simulated.ravel()
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"interrupted after {finished} of at most {chunks.lanes} lanes; {advice}") from None
+    drawn = [column.leaf for axis in axes for column in axis.columns if ax.differs_by_lane(column)]
+    for index in set(range(len(chunks))) - done:
+        lanes = np.arange(*chunks.bounds(index))
+        values = ax.values_at(axes, lanes)
+        shards.write(index, {name: one[lanes] for name, one in found.items()} | {leaf: values[leaf] for leaf in drawn})
+    shards.forget()
+
+
 def _records(
     chunks: Chunks, todo: Iterable[int], program: _Program, axes: Sequence[Axis]
 ) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
@@ -185,7 +257,7 @@ def _records(
 
 
 def _fetched(blocks: list[tuple[jax.Array, ...]], layout: np.dtype, count: int) -> dict[str, np.ndarray]:
-    names = layout.names or ()
+    names = [name for name in layout.names or () if name != "simulated" or len(blocks[0]) == len(layout)]
     return {name: np.concatenate([block[number] for block in blocks])[:count] for number, name in enumerate(names)}
 
 

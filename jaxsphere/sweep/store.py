@@ -12,8 +12,10 @@ a seal is not done; one that does not match its seal is damaged. Every file is r
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
+import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -30,6 +32,7 @@ from jaxsphere.sweep.chunks import Chunks
 FORMAT = 2
 ROOT = "zarr.json"
 SEALS = "seals/sha256"
+JOURNAL = "seals/journal"
 RESUME = "resume the same sweep to go on (resume=True or --resume)"
 _SEAL = 32  # bytes
 _CRC = 4  # bytes
@@ -67,6 +70,18 @@ class Shards(Protocol):
         """Keep the outputs of one chunk."""
         ...
 
+    def remember(self, batch: int, record: Record) -> None:
+        """Keep lanes of a refinement, which are in no order of chunks, until it is finished."""
+        ...
+
+    def recall(self, batch: int) -> Record | None:
+        """What was remembered, None when there is nothing or it is damaged."""
+        ...
+
+    def forget(self) -> None:
+        """Remove all that was remembered."""
+        ...
+
 
 @dataclass
 class Memory:
@@ -84,6 +99,15 @@ class Memory:
     def write(self, index: int, record: Record) -> None:
         """Keep the outputs of one chunk."""
         self.records[index] = {name: record[name] for name in self.layout.names or ()}
+
+    def remember(self, batch: int, record: Record) -> None:
+        """Nothing, for nothing outlives the process."""
+
+    def recall(self, batch: int) -> Record | None:
+        """Nothing."""
+
+    def forget(self) -> None:
+        """Nothing."""
 
 
 @dataclass
@@ -141,6 +165,33 @@ class Store:
                 f"{len(self.chunks)} chunks are safe: make room and {RESUME}"
             ) from None
 
+    def remember(self, batch: int, record: Record) -> None:
+        """Keep lanes of a refinement until it is finished. Raises SweepError when the folder cannot take them."""
+        buffer = io.BytesIO()
+        np.savez(buffer, **record)
+        data = self._checksum(batch, JOURNAL, buffer.getvalue()) + buffer.getvalue()
+        try:
+            write_atomically(self.folder / JOURNAL / str(batch), partial(_fill, data))
+        except OSError as error:
+            raise SweepError(
+                f"store = {str(self.folder)!r} cannot take batch {batch} ({error.strerror or error}); those before it are "
+                f"safe: make room and {RESUME}"
+            ) from None
+
+    def recall(self, batch: int) -> Record | None:
+        """What was remembered, None when there is nothing or it is damaged."""
+        try:
+            data = (self.folder / JOURNAL / str(batch)).read_bytes()
+        except FileNotFoundError:
+            return None
+        if data[:_SEAL] != self._checksum(batch, JOURNAL, data[_SEAL:]):
+            return None
+        return dict(np.load(io.BytesIO(data[_SEAL:])))
+
+    def forget(self) -> None:
+        """Remove all that was remembered."""
+        shutil.rmtree(self.folder / JOURNAL, ignore_errors=True)
+
     def done(self) -> int:
         """Number of chunks that have a seal."""
         with os.scandir(self.folder / SEALS) as entries:
@@ -166,7 +217,7 @@ class Store:
 
     def sweep_up(self) -> None:
         """Remove what writers that were killed left beside their files."""
-        for name in ("", SEALS, *self._names):
+        for name in ("", SEALS, JOURNAL, *self._names):
             remove_abandoned(self.folder / name)
 
     @property
