@@ -55,9 +55,9 @@ def _fields(tree: Any) -> list[tuple[str, Any, str]]:
     """(name, value, unit) of the parts of a container."""
     if dataclasses.is_dataclass(tree) and not isinstance(tree, type):
         return [(field.name, getattr(tree, field.name), field.metadata.get("unit", "")) for field in dataclasses.fields(tree)]
-    if hasattr(tree, "_asdict"):
+    if isinstance(tree, tuple) and hasattr(tree, "_asdict"):
         units = getattr(tree, "UNITS", {})
-        return [(name, value, units.get(name, "")) for name, value in tree._asdict().items()]
+        return [(name, value, units.get(name, "")) for name, value in tree._asdict().items()]  # type: ignore[attr-defined]
     if isinstance(tree, Mapping):
         return [(str(name), value, "") for name, value in tree.items()]
     if isinstance(tree, list | tuple):

@@ -257,7 +257,7 @@ def _records(
 
 
 def _fetched(blocks: list[tuple[jax.Array, ...]], layout: np.dtype, count: int) -> dict[str, np.ndarray]:
-    names = [name for name in layout.names or () if name != "simulated" or len(blocks[0]) == len(layout)]
+    names = [name for name in layout.names or () if name != "simulated" or len(blocks[0]) == len(layout.names or ())]
     return {name: np.concatenate([block[number] for block in blocks])[:count] for number, name in enumerate(names)}
 
 

@@ -117,19 +117,19 @@ class Store:
     folder: Path
     manifest: dict[str, Any]
 
-    @cached_property
+    @property
     def chunks(self) -> Chunks:
         """How the lanes are cut."""
         cut = self.manifest["chunks"]
         return Chunks(tuple(cut["shape"]), cut["along"], cut["rows"])
 
-    @cached_property
+    @property
     def layout(self) -> np.dtype:
         """Names, types and shapes of the outputs of one lane."""
         outputs = self.manifest["spec"]["outputs"]
         return np.dtype([(name, one["dtype"], tuple(one["shape"])) for name, one in outputs.items()])
 
-    @cached_property
+    @property
     def units(self) -> Mapping[str, str]:
         """Output -> unit, where it is known."""
         return {name: one["unit"] for name, one in self.manifest["spec"]["outputs"].items()}
@@ -168,7 +168,7 @@ class Store:
     def remember(self, batch: int, record: Record) -> None:
         """Keep lanes of a refinement until it is finished. Raises SweepError when the folder cannot take them."""
         buffer = io.BytesIO()
-        np.savez(buffer, **record)
+        np.savez(buffer, allow_pickle=False, **record)  # type: ignore[arg-type]
         data = self._checksum(batch, JOURNAL, buffer.getvalue()) + buffer.getvalue()
         try:
             write_atomically(self.folder / JOURNAL / str(batch), partial(_fill, data))

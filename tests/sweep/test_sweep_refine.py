@@ -1,5 +1,6 @@
 """Sweeps from coarse to fine give what the dense sweep gives, from fewer lanes or trials, and go on where they were stopped."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -19,21 +20,13 @@ def disc(x, y):
 def root(x, y, guess):
     """Newton's steps from a guess to the root of z^3 = 1 + x + y."""
     goal = 1.0 + x + y
-
-    def wrong(state):
-        return jnp.abs(state[0] ** 3 - goal) > 1e-10
-
-    value, steps = js_while(
-        wrong, lambda state: (state[0] - (state[0] ** 3 - goal) / (3.0 * state[0] ** 2), state[1] + 1), guess
+    start = (jnp.where(guess > 0.0, guess, 3.0), 0)
+    value, steps = jax.lax.while_loop(
+        lambda at: jnp.abs(at[0] ** 3 - goal) > 1e-10,
+        lambda at: (at[0] - (at[0] ** 3 - goal) / (3.0 * at[0] ** 2), at[1] + 1),
+        start,
     )
     return {"value": value, "steps": steps, "guess": guess}
-
-
-def js_while(condition, step, guess):
-    """Iterate from a guess and count."""
-    import jax
-
-    return jax.lax.while_loop(condition, step, (jnp.where(guess > 0.0, guess, 3.0), 0))
 
 
 def files(folder):
@@ -73,8 +66,12 @@ def test_guesses_come_from_neighbours_and_save_steps():
     np.testing.assert_allclose(guess[8, 40], (value[0, 32] + value[0, 48] + value[16, 32] + value[16, 48]) / 4.0, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("lane", "refine"), [(disc, Boundaries()), (root, Guesses(first=3.0))])
-def test_a_stopped_refinement_goes_on_and_ends_with_the_same_bytes(tmp_path, lane, refine):
+@pytest.mark.parametrize(
+    ("lane", "refine", "other"),
+    [(disc, Boundaries(), Boundaries(coarse=4)), (root, Guesses(first=3.0), Guesses())],
+    ids=["boundaries", "guesses"],
+)
+def test_a_stopped_refinement_goes_on_and_ends_with_the_same_bytes(tmp_path, lane, refine, other):
     js.sweep(lane, {}, AXES, refine=refine, store=tmp_path / "whole", chunk=520)
     with pytest.raises(KeyboardInterrupt, match=r"interrupted after \d+ of at most 12610 lanes; resume the same sweep"):
         js.sweep(lane, {}, AXES, refine=refine, store=tmp_path / "store", chunk=520, progress=stop_after(3))
@@ -84,11 +81,7 @@ def test_a_stopped_refinement_goes_on_and_ends_with_the_same_bytes(tmp_path, lan
     js.sweep(lane, {}, AXES, refine=refine, store=tmp_path / "store", chunk=520, resume=True)
     assert files(tmp_path / "store") == files(tmp_path / "whole")
     with pytest.raises(ValueError, match=r"is of another sweep \(it differs in .*refine"):
-        js.sweep(
-            lane, {}, AXES, refine=type(refine)(output=refine.output), store=tmp_path / "store", resume=True
-        ) if isinstance(refine, Guesses) else js.sweep(
-            lane, {}, AXES, refine=Boundaries(coarse=4), store=tmp_path / "store", resume=True
-        )
+        js.sweep(lane, {}, AXES, refine=other, store=tmp_path / "store", resume=True)
 
 
 @pytest.mark.parametrize(
