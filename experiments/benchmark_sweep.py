@@ -46,7 +46,7 @@ def _measured(lanes: int, steps: int, store: Path) -> dict[str, Any]:
     total = sum(counts.values())
     if total != lanes:
         raise RuntimeError(f"{lanes - total} of {lanes} lanes are lost")
-    megabytes = sum(path.stat().st_size for path in store.iterdir()) / 1e6
+    megabytes = sum(path.stat().st_size for path in store.rglob("*") if path.is_file()) / 1e6
     peak = _peak_memory()
     named = ", ".join(f"{count} {status.name.lower()}" for status, count in counts.items())
     print(

@@ -14,7 +14,7 @@ from tqdm.auto import tqdm
 import jaxsphere as js
 from experiments.climbing_axes import Axis, Setting, at, of_climb
 from jaxsphere.models import planar
-from jaxsphere.simulation.refinement import refine
+from jaxsphere.sweep.refine import from_neighbours, refine
 
 # Lanes per call: as many as are done between two moves of the progress bar.
 _CHUNK = 16384
@@ -125,26 +125,9 @@ def _levels(value: np.ndarray, done: np.ndarray, static: np.ndarray) -> Any:
     while stride >= 1:
         rows, columns = np.meshgrid(*(np.arange(0, side, stride) for side in value.shape), indexing="ij")
         new = ~done[rows, columns]
-        guess = _from_neighbours(value, 2 * stride) if done.any() else _FIRST_GUESS * static
+        guess = from_neighbours(value, 2 * stride) if done.any() else _FIRST_GUESS * static
         yield rows[new], columns[new], guess[rows[new], columns[new]]
         stride //= 2
-
-
-def _from_neighbours(value: np.ndarray, stride: int) -> np.ndarray:
-    """Interpolate the known nodes, `stride` apart, linearly to all nodes; 0 where the flat is not climbed around."""
-    known = value[::stride, ::stride]
-    places = [np.minimum(np.arange(side) / stride, count - 1.0) for side, count in zip(value.shape, known.shape, strict=True)]
-    low = [np.floor(place).astype(int) for place in places]
-    high = [np.minimum(first + 1, count - 1) for first, count in zip(low, known.shape, strict=True)]
-    share = [place - first for place, first in zip(places, low, strict=True)]
-    weights, total = np.zeros(value.shape), np.zeros(value.shape)
-    for row, by_row in ((low[0], 1.0 - share[0]), (high[0], share[0])):
-        for column, by_column in ((low[1], 1.0 - share[1]), (high[1], share[1])):
-            corner, weight = known[np.ix_(row, column)], np.outer(by_row, by_column)
-            weight = np.where(np.isnan(corner), 0.0, weight)
-            weights += weight
-            total += weight * np.nan_to_num(corner)
-    return np.where(weights > 0.0, total / np.where(weights > 0.0, weights, 1.0), 0.0)
 
 
 # Beyond the codes of `Status`: fails, and settles with an unlimited motor.

@@ -12,7 +12,6 @@ from matplotlib.patches import Patch
 
 import jaxsphere as js
 from experiments.plotting import figure, name_axes
-from jaxsphere.simulation.sweeps.axes import unit_of
 
 PANELS = 4  # outputs shown at most
 POINTS = 4000  # lanes shown at most in a strip
@@ -64,7 +63,7 @@ def _curves(results: js.SweepResults, outputs: list[str]) -> Figure:
             _points(panel, at[status == one], values[status == one], js.Status(one))
         if column.kind == "logarithmic":
             panel.set_xscale("log")
-        name_axes(panel, _label(column), _output(name))
+        name_axes(panel, _label(column), _with_unit(name, results.units[name]))
     fig.suptitle(_title(results))
     return fig
 
@@ -84,7 +83,7 @@ def _maps(results: js.SweepResults, outputs: list[str]) -> Figure:
         shown = np.where(np.isin(status, SHOWN) & np.isfinite(values), values, np.nan)
         mesh = panel.pcolormesh(x, y, shown, cmap="cividis", shading="nearest")
         fig.colorbar(mesh, ax=panel)
-        name_axes(panel, _label(along), _label(down), title=_output(name), legend=False)
+        name_axes(panel, _label(along), _label(down), title=_with_unit(name, results.units[name]), legend=False)
     _status_map(ending, x, y, status)
     name_axes(ending, _label(along), _label(down), title="how the lanes ended", legend=False)
     for panel in (*panels, ending):
@@ -120,7 +119,7 @@ def _strips(results: js.SweepResults, outputs: list[str]) -> Figure:
                 _points(panel, leaves[column.leaf][chosen], values[name][chosen], js.Status(one))
             if column.kind.endswith("logarithmic"):
                 panel.set_xscale("log")
-            name_axes(panel, _label(column), _output(name), legend=panel is panels[0, 0])
+            name_axes(panel, _label(column), _with_unit(name, results.units[name]), legend=panel is panels[0, 0])
     fig.suptitle(_title(results))
     return fig
 
@@ -140,16 +139,12 @@ def _points(panel: Axes, x: np.ndarray, y: np.ndarray, status: js.Status) -> Non
 
 
 def _is_scalar(results: js.SweepResults, name: str) -> bool:
-    kind = results.shards.read(0).dtype[name]
+    kind = results.shards.layout[name]
     return kind.shape == () and np.issubdtype(kind, np.floating)
 
 
 def _label(column: Any) -> str:
     return _with_unit(column.leaf, column.unit)
-
-
-def _output(name: str) -> str:
-    return _with_unit(name, unit_of(name))
 
 
 def _with_unit(name: str, unit: str) -> str:

@@ -40,11 +40,11 @@ from jaxsphere.simulation.host import RolloutError  # noqa: E402
 from jaxsphere.simulation.lanes import over_lanes, use_all_cores  # noqa: E402
 from jaxsphere.simulation.pausable import over_queue  # noqa: E402
 from jaxsphere.simulation.rollout import Trajectory, rollout  # noqa: E402
-from jaxsphere.simulation.sweeps import axes  # noqa: E402
-from jaxsphere.simulation.sweeps.engine import sweep  # noqa: E402
-from jaxsphere.simulation.sweeps.results import SweepResults, open_sweep  # noqa: E402
-from jaxsphere.simulation.sweeps.store import SweepError  # noqa: E402
 from jaxsphere.status import ControllerOutput, Status  # noqa: E402
+from jaxsphere.sweep import axes  # noqa: E402
+from jaxsphere.sweep.results import SweepResults, open_sweep  # noqa: E402
+from jaxsphere.sweep.run import sweep  # noqa: E402
+from jaxsphere.sweep.store import SweepError  # noqa: E402
 from jaxsphere.tasks import (  # noqa: E402
     Climb,
     Numerics,

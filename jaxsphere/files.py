@@ -1,11 +1,18 @@
-"""Files that are either whole or not there: written beside their place, then renamed."""
+"""Files that are either whole or not there: written beside their place, then renamed.
+
+A temporary file is called `.NAME~HOST~PID~RANDOM` and the suffix of its file, so that another process can tell whether its
+writer is still alive.
+"""
 
 from __future__ import annotations
 
 import json
 import math
 import os
+import platform
+import re
 import tempfile
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,6 +20,8 @@ from typing import Any
 
 import jax
 import numpy as np
+
+_DAY = 86400.0  # s
 
 
 def write_atomically(path: str | os.PathLike[str], write: Callable[[Path], None]) -> Path:
@@ -22,7 +31,8 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[Path], None]
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    prefix = f".{path.stem}~{_host()}~{os.getpid()}~"
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=path.suffix)
     os.close(handle)
     try:
         write(Path(name))
@@ -31,6 +41,33 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[Path], None]
     finally:
         Path(name).unlink(missing_ok=True)
     return path
+
+
+def remove_abandoned(folder: str | os.PathLike[str]) -> None:
+    """Remove the temporary files in a folder whose writers were killed, and those of other hosts that are a day old."""
+    for path in Path(folder).glob(".*~*"):
+        parts = path.name.split("~")
+        if len(parts) == 4 and parts[2].isdigit() and _is_abandoned(path, parts[1], int(parts[2])):
+            path.unlink(missing_ok=True)
+
+
+def _is_abandoned(path: Path, host: str, process: int) -> bool:
+    if host != _host():
+        try:
+            return time.time() - path.stat().st_mtime > _DAY
+        except FileNotFoundError:
+            return False
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except (PermissionError, OverflowError):
+        pass
+    return False
+
+
+def _host() -> str:
+    return re.sub(r"[^A-Za-z0-9-]", "-", platform.node())[:40]
 
 
 def write_json(path: str | os.PathLike[str], content: Any) -> Path:

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGES = ("jaxsphere", "tuning", "experiments")
 
 # Part of jaxsphere -> the parts that it may import. A part is a folder, or a file directly below jaxsphere.
-BASE = {"checks", "status", "files", "numerics"}
+BASE = {"checks", "status", "files", "numerics", "identity", "units"}
 MODELS = BASE | {"robot", "models"}
 MAY_IMPORT = {
     **dict.fromkeys(BASE, BASE),
@@ -22,6 +22,7 @@ MAY_IMPORT = {
     "models": MODELS,
     "controllers": MODELS | {"controllers"},
     "simulation": MODELS | {"simulation"},
+    "sweep": MODELS | {"simulation", "sweep"},
 }
 # Files that put the parts together.
 UNRESTRICTED = {"__init__", "tasks"}

@@ -10,7 +10,7 @@ import jaxsphere as js
 from experiments import cli
 from experiments import climbing_axes as axes
 from experiments import climbing_map as maps
-from jaxsphere.simulation.refinement import refine
+from jaxsphere.sweep.refine import refine
 
 QUICK = axes.Setting(js.Climb(dt=15e-3))
 

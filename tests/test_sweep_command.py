@@ -220,5 +220,5 @@ def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(tmp_path):
     last = err.decode().strip().splitlines()[-1]
     assert last.startswith("jaxsphere sweep: interrupted after ")
     assert last.endswith("of 100000 lanes; resume the same sweep to go on (resume=True or --resume)")
-    assert len(list((tmp_path / "out" / "store").glob("shard-*.npy"))) >= 2
-    assert not list((tmp_path / "out" / "store").glob(".*"))
+    assert len(list((tmp_path / "out" / "store" / "seals" / "sha256").glob("c.*"))) >= 2
+    assert not list((tmp_path / "out" / "store").rglob(".*"))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,8 +13,6 @@ import jaxsphere as js
 from experiments import sweep_pictures
 from experiments.options.sweep import read_spec
 from experiments.records import Record
-from jaxsphere.checks import require_choice
-from jaxsphere.simulation.sweeps.leaves import named_outputs
 
 if TYPE_CHECKING:
     from experiments.cli import Sweep
@@ -28,9 +25,10 @@ def sweep(options: Sweep) -> None:
     store = record.folder / "store"
     with tqdm(unit="lane", unit_scale=True, disable=not options.progress) as bar:
         results = js.sweep(
-            selecting(spec.task, spec.outputs),
+            spec.task,
             spec.base,
             spec.axes,
+            outputs=spec.outputs,
             dtype=spec.base["dtype"],
             chunk=spec.chunk,
             store=store,
@@ -52,19 +50,6 @@ def sweep(options: Sweep) -> None:
             f"out = {options.out!r} cannot be written ({error.strerror}); the lanes are safe in {store}"
         ) from None
     print(f"sweep.png, metrics.json and manifest.json are in {record.folder}, all lanes in {store} (js.open_sweep reads them)")
-
-
-def selecting(task: Callable[..., Any], outputs: tuple[str, ...]) -> Callable[..., dict[str, Any]]:
-    """`task` as a lane function that returns its status and these outputs, all when none is named."""
-
-    @functools.wraps(task)
-    def lane(**arguments: Any) -> dict[str, Any]:
-        found = named_outputs(task(**arguments))
-        for name in outputs:
-            require_choice("output", name, tuple(found))
-        return {name: value for name, value in found.items() if not outputs or name in ("status", *outputs)}
-
-    return lane
 
 
 def summary(results: js.SweepResults) -> dict[str, dict[str, float]]:

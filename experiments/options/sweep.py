@@ -34,7 +34,7 @@ from experiments.options.robot import RobotOptions
 from experiments.options.spatial import TrackingGainOptions, TrackOptions
 from experiments.options.spec import fill
 from jaxsphere.checks import require_choice, require_scalar
-from jaxsphere.simulation.sweeps.axes import Axis
+from jaxsphere.sweep.axes import Axis
 
 KINDS = ("grid", "values", "zip", "latin_hypercube", "uniform", "normal")
 

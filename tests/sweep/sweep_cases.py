@@ -60,10 +60,10 @@ def _hold(stiffness, damping):
     return lambda time, x, memory: js.ControllerOutput((-stiffness * x[0] - damping * x[1],), (), jnp.int32(0))
 
 
-def swings(count=40, **options):
-    """Sweep of `swing` over 50 lanes a stiffness; some swing too far. 2000 lanes in four chunks of 512 by default."""
+def swings(count=40, damping=0.4, **options):
+    """Sweep of `swing` over 50 lanes a stiffness; some swing too far. 2000 lanes in four chunks of 500 by default."""
     axes = [js.axes.linear("stiffness", -30.0, 10.0, count), js.axes.uniform({"angle": (0.0, 1.0)}, 50, seed=3)]
-    return js.sweep(swing, {"damping": 0.4}, axes, **{"chunk": 512} | options)
+    return js.sweep(swing, {"damping": damping}, axes, **{"chunk": 512} | options)
 
 
 if __name__ == "__main__":

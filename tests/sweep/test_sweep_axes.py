@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import jaxsphere as js
-from jaxsphere.simulation.sweeps import axes as ax
-from jaxsphere.simulation.sweeps import draws
+from jaxsphere.sweep import axes as ax
+from jaxsphere.sweep import draws
 
 
 def along(axis):

@@ -1,19 +1,20 @@
-"""What a sweep found: arrays over its named axes, read from the shards when they are asked for."""
+"""Results of a sweep: arrays over its named axes, read chunk by chunk when they are asked for."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxsphere.simulation.sweeps import axes as ax
-from jaxsphere.simulation.sweeps import store as st
-from jaxsphere.simulation.sweeps.axes import Axis, Column
-from jaxsphere.simulation.sweeps.store import Shards
 from jaxsphere.status import Status
+from jaxsphere.sweep import axes as ax
+from jaxsphere.sweep import schema
+from jaxsphere.sweep import store as st
+from jaxsphere.sweep.axes import Axis, Column
+from jaxsphere.sweep.store import Shards
 
 
 class Coordinate(NamedTuple):
@@ -36,38 +37,35 @@ class Chunk(NamedTuple):
 class Values(Mapping[str, np.ndarray]):
     """Output name -> its array over the axes, (*shape, ...); each is read from the shards when it is asked for."""
 
-    shape: tuple[int, ...]
     shards: Shards
 
     def __getitem__(self, name: str) -> np.ndarray:
-        if name not in self._layout().names:
+        if name not in self:
             raise KeyError(f"{name!r} is no output; type one of {', '.join(self)}")
-        kind = self._layout()[name]
-        found = np.empty((self.shards.lanes, *kind.shape), kind.base)
-        for index in range(st.shard_count(self.shards)):
-            first, end = st.bounds(self.shards, index)
-            found[first:end] = self.shards.read(index)[name]
-        return found.reshape(*self.shape, *kind.shape)
+        kind, chunks = self.shards.layout[name], self.shards.chunks
+        found = np.empty((chunks.lanes, *kind.shape), kind.base)
+        for index in range(len(chunks)):
+            first, end = chunks.bounds(index)
+            found[first:end] = self.shards.read(index, name)
+        return found.reshape(*chunks.shape, *kind.shape)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._layout().names)
+        return iter(self.shards.layout.names or ())
 
     def __len__(self) -> int:
-        return len(self._layout().names)
+        return len(self.shards.layout.names or ())
 
     def __contains__(self, name: object) -> bool:
-        return name in self._layout().names
-
-    def _layout(self) -> Any:
-        return self.shards.read(0).dtype
+        return name in (self.shards.layout.names or ())
 
 
 @dataclass(frozen=True)
 class SweepResults:
     """Results of `sweep` in named axes.
 
-    axes: of the sweep; the last varies fastest. shards: where the results lie. repaired: numbers of the shards that this
-    process found damaged and computed again.
+    axes: of the sweep; the last varies fastest.
+    shards: where the results lie, cut into chunks of lanes.
+    repaired: numbers of the chunks that this process found damaged and computed again.
     """
 
     axes: tuple[Axis, ...]
@@ -107,7 +105,12 @@ class SweepResults:
     @property
     def values(self) -> Values:
         """Output name -> array over the axes."""
-        return Values(self.shape, self.shards)
+        return Values(self.shards)
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Output name -> unit, "" where it is unknown."""
+        return self.shards.units
 
     @property
     def status(self) -> np.ndarray:
@@ -119,35 +122,32 @@ class SweepResults:
         """How many lanes ended with each status; statuses that do not occur are left out. Raises ValueError as `status`."""
         self._require_status()
         totals: dict[Status, int] = {}
-        for chunk in range(st.shard_count(self.shards)):
-            for code, count in zip(*np.unique(self.shards.read(chunk)["status"], return_counts=True), strict=True):
+        for chunk in range(len(self.shards.chunks)):
+            for code, count in zip(*np.unique(self.shards.read(chunk, "status"), return_counts=True), strict=True):
                 if code not in tuple(Status):
                     raise ValueError(
-                        f"status = {code} is none of jaxsphere.Status; let the lane function return one of 0 ... 7"
+                        f"status = {code} is none of jaxsphere.Status; let the lane function return one of 0 ... {max(Status)}"
                     )
                 totals[Status(code)] = totals.get(Status(code), 0) + int(count)
         return dict(sorted(totals.items()))
 
     def chunks(self) -> Iterator[Chunk]:
-        """All lanes in order, a shard at a time, for results that do not fit into memory."""
-        for index in range(st.shard_count(self.shards)):
-            lanes = np.arange(*st.bounds(self.shards, index))
-            record = self.shards.read(index)
-            yield Chunk(lanes, ax.values_at(self.axes, lanes), {name: record[name] for name in record.dtype.names or ()})
+        """All lanes in order, a chunk at a time, for results that do not fit into memory."""
+        for index in range(len(self.shards.chunks)):
+            lanes = np.arange(*self.shards.chunks.bounds(index))
+            yield Chunk(lanes, ax.values_at(self.axes, lanes), {name: self.shards.read(index, name) for name in self.values})
 
     def to_xarray(self) -> Any:
-        """Dataset with the axes as dimensions, units as attributes. Raises ValueError when xarray is not installed."""
-        try:
-            import xarray  # pyright: ignore[reportMissingImports]
-        except ImportError:
-            raise ValueError("to_xarray needs xarray; type pip install 'jaxsphere[xarray]'") from None
+        """Dataset with the axes as dimensions and units as attributes, as `xarray.open_zarr` gives it for a store."""
+        import xarray
+
         coordinates = {
             leaf: (found.dimensions, found.values, {"units": found.unit}) for leaf, found in self.coordinates.items()
         }
         outputs = {}
         for name, array in self.values.items():
             inner = tuple(f"{name}_{number}" for number in range(array.ndim - len(self.shape)))
-            outputs[name] = ((*self.dimensions, *inner), array, {"units": ax.unit_of(name)})
+            outputs[name] = ((*self.dimensions, *inner), array, schema.attributes(name, self.units[name]))
         return xarray.Dataset(outputs, coordinates)
 
     def _require_status(self) -> None:
@@ -156,21 +156,18 @@ class SweepResults:
 
 
 def open_sweep(folder: str | Path) -> SweepResults:
-    """Results of a finished sweep from its store, without the lane function.
+    """Results of a finished sweep from its store, without the lane function; every byte is checked when it is read.
+
+    Args:
+        folder: the store, as `sweep` was given it.
 
     Raises:
-        ValueError: there is no sweep, or one that is not finished. SweepError, on reading: a shard is damaged.
+        ValueError: there is no sweep, or one that is not finished.
+        SweepError: the store is damaged; for a chunk of lanes, when it is read.
     """
     shards = st.load(Path(folder))
-    if "checksums" not in shards.manifest:
-        done, total = len(shards.files()), st.shard_count(shards)
-        raise ValueError(f"store = {str(folder)!r} has {done} of {total} shards; {st.RESUME}")
-    return SweepResults(_axes(shards.manifest["spec"]["axes"]), shards)
-
-
-def _axes(described: Sequence[Mapping[str, Any]]) -> tuple[Axis, ...]:
-    return tuple(Axis(one["name"], one["length"], tuple(_column(**part) for part in one["columns"])) for one in described)
-
-
-def _column(type: str, numbers: Sequence[float], **others: Any) -> Column:
-    return Column(numbers=tuple(numbers), **others)
+    if changed := st.changed_files(shards):
+        raise st.SweepError(f"{changed[0]} of store = {str(folder)!r} is damaged; {st.RESUME}")
+    if (done := shards.done()) < len(shards.chunks):
+        raise ValueError(f"store = {str(folder)!r} has {done} of {len(shards.chunks)} chunks; {st.RESUME}")
+    return SweepResults(schema.axes_of(shards.manifest["spec"]["axes"]), shards)

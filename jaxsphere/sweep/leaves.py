@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxsphere.simulation.rollout import Trajectory
+from jaxsphere.units import declared_units, unit_of
 
 
 def replaced(arguments: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
@@ -56,7 +56,7 @@ def named_outputs(result: Any) -> dict[str, Any]:
 
     A Trajectory gives its status, end_time, final_state and metrics. Raises ValueError for what is no number.
     """
-    if isinstance(result, Trajectory):
+    if all(hasattr(result, name) for name in ("status", "end_time", "state", "metrics")):
         ends = {"status": result.status, "end_time": result.end_time, "final_state": result.state[-1]}
         return ends | ({} if result.metrics is None else named_outputs(result.metrics))
     named = {}
@@ -68,6 +68,12 @@ def named_outputs(result: Any) -> dict[str, Any]:
     if not named:
         raise ValueError(f"the lane function returns {result!r}, which holds no number; let it return a pytree of numbers")
     return named
+
+
+def output_units(result: Any) -> dict[str, str]:
+    """Return output -> unit for what `named_outputs` returns, "" where it is unknown."""
+    declared = declared_units(getattr(result, "metrics", None) or result)
+    return {name: unit_of(name, declared) for name in named_outputs(result)}
 
 
 def with_dtype(arguments: Any, dtype: Any) -> Any:

@@ -11,29 +11,19 @@ unit="deg"; lanes then get radians.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxsphere.checks import require_count
-from jaxsphere.simulation.sweeps import draws
+from jaxsphere.sweep import draws
+from jaxsphere.units import unit_of
 
-UNITS = {
-    **dict.fromkeys(("slope", "travel", "z_u", "heading"), "rad"),
-    **dict.fromkeys(("shell_mass", "gimbal_mass", "pendulum_mass"), "kg"),
-    **dict.fromkeys(("shell_inertia", "gimbal_inertia"), "kg m2"),
-    **dict.fromkeys(("pendulum_length", "shell_radius", "tolerance"), "m"),
-    **dict.fromkeys(("c1", "c2", "k", "k2", "k4", "k_d"), "1/s"),
-    **dict.fromkeys(("k1", "k3", "k_p"), "1/s2"),
-    **dict.fromkeys(("phi_z", "k_i", "smoothing"), "rad/s"),
-    **dict.fromkeys(("settling_time", "end_time"), "s"),
-    **dict.fromkeys(("peak_swing", "lowest_swing", "highest_swing", "peak_lean"), "rad"),
-    **{"peak_torque": "N m", "chatter": "N m", "effort": "(N m)2 s", "rms_error": "m", "late_error": "m", "itae": "s2"},
-    **{"eta": "rad/s2", "gravity": "m/s2", "a_max": "m/s2", "speed": "m/s", "torque_limit": "N m", "settled_after": "s"},
-}
 Ends = tuple[float, float]
+_UNIT = re.compile(r"(\d|deg|rad|kg|m|s|N|J|W|A|V|Hz|[ ()/*^-])*")  # what an SI unit is written with
 
 
 @dataclass(frozen=True)
@@ -163,8 +153,13 @@ def values_at(axes: Sequence[Axis], lanes: np.ndarray) -> dict[str, np.ndarray]:
 
 def arguments_at(axes: Sequence[Axis], lanes: np.ndarray) -> dict[str, np.ndarray]:
     """Leaf -> what the lanes (n,) are given, (n,) each: the values with degrees as radians."""
+    return in_radians(axes, values_at(axes, lanes))
+
+
+def in_radians(axes: Sequence[Axis], values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Leaf -> its values with degrees as radians."""
     degrees = {column.leaf for axis in axes for column in axis.columns if column.unit == "deg"}
-    return {leaf: np.deg2rad(at) if leaf in degrees else at for leaf, at in values_at(axes, lanes).items()}
+    return {leaf: np.deg2rad(at) if leaf in degrees else at for leaf, at in values.items()}
 
 
 def coordinate(axes: Sequence[Axis], column: Column) -> np.ndarray:
@@ -175,9 +170,20 @@ def coordinate(axes: Sequence[Axis], column: Column) -> np.ndarray:
     return _KINDS[column.kind].values(column, positions, positions)
 
 
-def unit_of(name: str) -> str:
-    """Unit of a leaf or an output by the last word of its name, "" where the name does not tell."""
-    return UNITS.get(next((part for part in reversed(name.split(".")) if not part.isdigit()), name), "")
+def with_units(axes: Sequence[Axis], declared: Mapping[str, str]) -> tuple[Axis, ...]:
+    """Return the axes with the units that the classes of the lane's arguments declare.
+
+    Args:
+        axes: of the sweep.
+        declared: dotted name -> unit, see `jaxsphere.units.declared_units`.
+
+    Raises:
+        ValueError: an axis was given a unit that is not that of its leaf.
+    """
+    return tuple(
+        replace(axis, columns=tuple(replace(column, unit=_fitting(column, declared)) for column in axis.columns))
+        for axis in axes
+    )
 
 
 def differs_by_lane(column: Column) -> bool:
@@ -262,10 +268,22 @@ def _require_positive(leaf: str, ends: Any) -> None:
 
 
 def _unit(leaf: str, unit: str | None) -> str:
+    if unit is not None and not (isinstance(unit, str) and _UNIT.fullmatch(unit)):
+        raise ValueError(f"unit = {unit!r} of axis {leaf!r} is not admissible; type unit='deg' for degrees, or leave it out")
     known = unit_of(leaf)
-    if unit == "deg" and known not in ("rad", ""):
-        raise ValueError(f"unit = 'deg' does not fit axis {leaf!r}; leave it out for {known}")
+    _require_fitting(leaf, unit or known, known)
     return known if unit is None else unit
+
+
+def _fitting(column: Column, declared: Mapping[str, str]) -> str:
+    known = unit_of(column.leaf, declared)
+    _require_fitting(column.leaf, column.unit, known)
+    return column.unit or known
+
+
+def _require_fitting(leaf: str, unit: str, known: str) -> None:
+    if known and unit not in ("", known) and not (unit == "deg" and known == "rad"):
+        raise ValueError(f"unit = {unit!r} does not fit axis {leaf!r}; leave it out for {known}")
 
 
 def _require_distinct(kind: str, names: list[str], fix: str) -> None:

@@ -1,7 +1,6 @@
 """A sweep gives what vmap gives, in named axes, and says in one sentence what it cannot do."""
 
 import dataclasses
-import sys
 from typing import NamedTuple
 
 import jax
@@ -11,7 +10,7 @@ import pytest
 import sweep_cases
 
 import jaxsphere as js
-from jaxsphere.simulation.sweeps import axes as ax
+from jaxsphere.sweep import axes as ax
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +90,7 @@ def test_a_sweep_traces_and_compiles_once_whatever_the_number_of_chunks():
         found = js.sweep(counted(calls), {}, js.axes.linear("x", 0.0, 1.0, count), chunk=512)
         assert len(calls) == 1
         assert len(compiled) == 1
-        assert -(-found.lanes // found.shards.chunk) == -(-count // 512)
+        assert len(found.shards.chunks) == -(-count // 512)
         np.testing.assert_allclose(found.values["final_state"][:, 0], np.linspace(0.0, 1.0, count), atol=1e-12)
 
 
@@ -149,18 +148,45 @@ def test_single_precision_reaches_axes_base_and_a_dtype_argument():
 
 
 def test_xarray_gets_dimensions_coordinates_and_units(climbs):
-    pytest.importorskip("xarray")
     data = climbs.to_xarray()
     assert dict(data.sizes) == {**dict(zip(climbs.dimensions, climbs.shape, strict=True)), "final_state_0": 4}
     assert data["slope"].attrs["units"] == "deg"
+    assert data["peak_torque"].attrs["units"] == "N m"
     np.testing.assert_array_equal(data["final_error"].sel(slope=-5.0).values, climbs.values["final_error"][0])
     assert data["gains.c1"].dims == ("move",)
 
 
-def test_without_xarray_one_sentence_says_what_to_install(climbs, monkeypatch):
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(ValueError, match=r"^to_xarray needs xarray; type pip install 'jaxsphere\[xarray\]'$"):
-        climbs.to_xarray()
+@dataclasses.dataclass
+class Cart:
+    """A thing with declared units."""
+
+    mass: float = dataclasses.field(default=1.0, metadata={"unit": "kg"})
+    sides: tuple = dataclasses.field(default=(1.0, 2.0), metadata={"unit": "m"})
+
+
+class Rolled(NamedTuple):
+    """Outputs with declared units."""
+
+    UNITS = {"way": "m"}  # noqa: RUF012
+    way: float
+    count: float
+
+
+def test_units_are_those_that_the_classes_of_arguments_and_outputs_declare():
+    axes = [js.axes.listed("cart.mass", [1.0]), js.axes.listed("cart.sides.1", [2.0, 3.0])]
+    base = {"cart": Cart()}
+    found = js.sweep(lambda cart: {"a": Rolled(cart.mass, cart.sides[1])}, base, axes)
+    assert [column.unit for column in found.columns] == ["kg", "m"]
+    assert found.units == {"a.way": "m", "a.count": ""}
+    with pytest.raises(ValueError, match=r"unit = 'rad' does not fit axis 'cart\.mass'; leave it out for kg"):
+        js.sweep(lambda cart: cart.mass, base, js.axes.listed("cart.mass", [1.0], unit="rad"))
+
+
+def test_only_the_outputs_that_are_named_are_kept():
+    lane = lambda x: {"status": 0, "a": x, "b": 2.0 * x}  # noqa: E731
+    assert list(js.sweep(lane, {}, X, outputs=["b"]).values) == ["b", "status"]
+    with pytest.raises(ValueError, match=r"output = 'c' is not known; type one of a, b, status|type one of status"):
+        js.sweep(lane, {}, X, outputs=["c"])
 
 
 ROBOT = {"robot": js.Robot(), "slope": 0.1, "gains": None, "duration": 0.1, "dt": 0.01, "save_every": None}
@@ -214,6 +240,11 @@ FAULTS = {
     "negative deviation": (lambda: js.axes.normal({"a": (0, -1)}, 5), r"has the standard deviation -1; type one of at least 0"),
     "not finite": (lambda: js.axes.listed("a", [1.0, np.nan]), r"axis 'a' has the values \[1\.0, nan\]; type a list of finite"),
     "words": (lambda: js.axes.listed("a", ["b"]), r"axis 'a' has the values \['b'\]; type numbers"),
+    "unknown unit": (
+        lambda: js.axes.linear("slope", 0, 18, 7, unit="degrees"),
+        r"unit = 'degrees' of axis 'slope' is not admissible; type unit='deg'",
+    ),
+    "unit of another kind": (lambda: js.axes.listed("slope", [1], unit="m"), r"unit = 'm' does not fit axis 'slope'"),
     "seed": (lambda: js.axes.uniform({"a": (0, 1)}, 5, seed=-1), r"seed = -1 of axis 'draw' is not admissible"),
     "leaf twice": (lambda: js.axes.product(SLOPES, SLOPES), r"leaf 'slope' comes twice among the axes; vary it along one"),
     "axis twice": (
