@@ -172,7 +172,10 @@ def as_typed(sentence: str, kind: type, words: list[str], spec: Mapping[str, Any
         inside = rf"(?:{group}|task|numerics)\."
         prefix = inside if group in ("robot", "plant", "gains") else rf"(?:{inside})?"
         sentence = re.sub(rf"(?<![\w.\-\]] )(?<![\w.\-]){prefix}{name}(?= = )", typed, sentence)
-        sentence = re.sub(rf"(?<![\w.\-]){prefix}{name}=(?=\S)", f"{flag} ", sentence)
+        if flag not in sentence:
+            sentence = re.sub(
+                rf"(?<![\w.\-]){prefix}{name}=(True\b)?(?=\S)", lambda m, flag=flag: flag + " " * (not m[1]), sentence
+            )
     return sentence
 
 
@@ -184,7 +187,7 @@ def _flags(kind: type) -> typing.Iterator[tuple[str, str, str]]:
             before = "" if leaf.name in FLAT else f"{leaf.name}."
             for inner in fields(hints[leaf.name]):
                 yield leaf.name, inner.name, "--" + f"{before}{inner.name}".replace("_", "-")
-        else:
+        elif leaf.name not in ("spec", "experiments"):  # typed without a flag
             yield "", leaf.name, "--" + leaf.name.replace("_", "-")
 
 

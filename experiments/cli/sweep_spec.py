@@ -81,7 +81,7 @@ def _base(content: Mapping[str, Any], task: str) -> dict[str, Any]:
     gains = options.arguments(_section("gains", content, SpatialGains if spatial else PlanarGains))
     plant = options.robot(_section("plant", content, options.RobotOptions), robot, "plant") if "plant" in content else None
     settings = options.arguments(_section("settings", content, LineSettings if spatial else PlanarMotion))
-    return {"robot": robot, "plant": plant, "gains": check(kind(**gains)), **settings}
+    return {"robot": robot, "plant": plant, **settings, "gains": check(kind(**gains))}
 
 
 LineSettings = options.options("LineSettings", js.track_line, js.track, without=SPATIAL_OBJECTS)
