@@ -14,10 +14,11 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from importlib.metadata import PackageNotFoundError, version
-from types import CodeType, MethodType
+from types import CodeType, FunctionType, MethodType
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend import core
 
@@ -119,7 +120,7 @@ class _Canon:
             return self.closed(value)
         if isinstance(value, core.Jaxpr):
             return self.open(value)
-        if isinstance(value, jax.Array) and jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key):
+        if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
             return f"key {self.value(jax.random.key_data(value))}"
         if isinstance(value, np.ndarray | np.generic | jax.Array) or hasattr(value, "__array__"):
             array = np.asarray(value)
@@ -138,9 +139,9 @@ class _Canon:
             return f"{self.value(value.__func__)} of {self.value(value.__self__)}"
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
             return f"{type(value).__name__} {self.value({f.name: getattr(value, f.name) for f in dataclasses.fields(value)})}"
-        if code := getattr(value, "__code__", None):
+        if isinstance(value, FunctionType):
             cells = [self.value(cell.cell_contents) for cell in value.__closure__ or ()]
-            return f"{self.code(code)} {cells} {self.value(value.__defaults__)}"
+            return f"{self.code(value.__code__)} {cells} {self.value(value.__defaults__)}"
         return _ADDRESS.sub("", str(value))
 
     def code(self, code: CodeType) -> str:

@@ -133,3 +133,125 @@ def test_every_public_name_exists_and_is_documented():
         for name in package.__all__:
             value = getattr(package, name)
             assert value is None or not callable(value) or value.__doc__, f"{package.__name__}.{name} has no docstring"
+
+
+# Room of experiments -> the rooms that it may import.
+EXPERIMENTS = {
+    "records": set(),
+    "plots": {"plots"},
+    "studies": {"studies", "plots", "records"},
+    "benchmarks": {"benchmarks", "plots", "records"},
+    "cli": {"cli", "studies", "benchmarks", "plots", "records"},
+}
+
+# Words of the robot; simulation/ is for any plant. These files still have some: shorten the list, never lengthen it.
+ROBOT_WORDS = {"alpha", "swing", "slope", "pendulum", "theta", "lean", "shell", "gimbal", "climb", "gains"}
+STILL_KNOW_THE_ROBOT = {
+    "bisection",
+    "metrics",
+    "refinement",
+    "host",
+    "rollout",
+    "axes",
+    "draws",
+    "engine",
+    "leaves",
+    "results",
+    "store",
+}
+
+
+def graph(package):
+    """Module -> the modules of the same package that it imports, wherever in the file."""
+    modules = {}
+    for path, tree in sources(package):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        modules[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = tree
+    found = {}
+    for module, tree in modules.items():
+        targets = {name if name in modules else name.rpartition(".")[0] for name in imported(tree)}
+        found[module] = {name for name in targets if name in modules and name != module}
+    return found
+
+
+def circle(edges):
+    """Return nodes of a directed graph that form a circle, [] if there is none."""
+    left = dict(edges)
+    while free := [node for node, targets in left.items() if not targets & set(left)]:
+        for node in free:
+            del left[node]
+    if not left:
+        return []
+    node, path = next(iter(left)), []
+    while node not in path:
+        path.append(node)
+        node = next(iter(left[node] & set(left)))
+    return path[path.index(node) :]
+
+
+def test_circles_are_found():
+    assert circle({"a": {"b"}, "b": {"c"}, "c": set()}) == []
+    assert set(circle({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": set()})) == {"b", "c"}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_file_is_imported_in_a_circle(package):
+    edges = graph(package)
+    assert sum(map(len, edges.values())) > 10
+    assert circle(edges) == []
+
+
+@pytest.mark.parametrize("package", ["tuning", "experiments"])
+def test_rooms_of_tuning_and_experiments_are_not_imported_in_a_circle(package):
+    rooms = {}
+    for module, targets in graph(package).items():
+        if module != package:
+            room = module.split(".")[1]
+            rooms.setdefault(room, set()).update({name.split(".")[1] for name in targets if name != package} - {room})
+    assert circle(rooms) == []
+
+
+def test_experiments_go_from_the_command_line_to_studies_to_plots():
+    seen = set()
+    for module, targets in graph("experiments").items():
+        if module == "experiments":
+            continue
+        room = module.split(".")[1]
+        seen.add(room)
+        assert {name.split(".")[1] for name in targets} <= EXPERIMENTS[room], module
+    assert seen == set(EXPERIMENTS)
+
+
+def test_only_plots_and_records_import_matplotlib_and_only_the_command_line_imports_tyro():
+    for path, tree in sources("experiments"):
+        room = path.relative_to(ROOT / "experiments").parts[0].removesuffix(".py")
+        tops = {name.split(".")[0] for name in imported(tree)}
+        assert "matplotlib" not in tops or room in ("plots", "records"), path
+        assert "tyro" not in tops or room == "cli", path
+
+
+def words_of(tree):
+    """Lower-case words of the names, arguments and attributes of a file."""
+    for node in ast.walk(tree):
+        for name in (getattr(node, key, None) for key in ("id", "arg", "attr", "name")):
+            if isinstance(name, str):
+                yield from name.lower().split("_")
+
+
+def test_simulation_knows_no_robot():
+    knowing = {
+        path.stem for path, tree in sources("jaxsphere") if part_of(path) == "simulation" and ROBOT_WORDS & set(words_of(tree))
+    }
+    assert knowing <= STILL_KNOW_THE_ROBOT
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_functions_fit_a_screen_and_files_are_short(package):
+    for path, tree in sources(package):
+        assert len(path.read_text(encoding="utf-8").splitlines()) <= 300, path
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef):
+                docstring = len((ast.get_docstring(node, clean=False) or "").splitlines())
+                length = node.end_lineno - node.lineno + 1
+                signature = node.body[0].lineno - node.lineno
+                assert length - docstring - signature <= 60, f"{path}: {node.name} has {length - docstring - signature} lines"

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import tuning
-from experiments import benchmark_pareto, benchmark_tuning
+from experiments.benchmarks import pareto as benchmark_pareto
+from experiments.benchmarks import tuning as benchmark_tuning
 from tuning import pareto
 
 

@@ -117,35 +117,35 @@ def test_bench_writes_steps_per_second(capsys, tmp_path):
 
 
 FAULTS = [
-    (["simulate", "planar", "--robot.shell-mass", "-1"], "robot.shell_mass = -1"),
-    (["simulate", "planar", "--robot.gravity", "nan"], "robot.gravity = nan"),
+    (["simulate", "planar", "--robot.shell-mass", "-1"], "--robot.shell-mass = -1 "),
+    (["simulate", "planar", "--robot.gravity", "nan"], "--robot.gravity = nan "),
     (["simulate", "planar", "--robot.pendulum-length", "0.2"], "shell_radius = 0.15"),
     (["simulate", "planar", "--robot.name", "nobody"], "set_a"),
     (["simulate", "planar", "--slope-deg", "25"], "18.76 deg"),
-    (["simulate", "planar", "--slope-deg", "120"], "slope_deg = 120"),
-    (["simulate", "planar", "--c2", "0"], "gains.c2 = 0"),
-    (["simulate", "planar", "--z-u", "1"], "gains.z_u = 1"),
-    (["simulate", "planar", "--dt", "0"], "dt = 0"),
-    (["simulate", "planar", "--dt", "50"], "dt = 50 s exceeds duration"),
-    (["simulate", "planar", "--travel", "0"], "travel = 0"),
+    (["simulate", "planar", "--slope-deg", "120"], "--slope-deg = 120 deg "),
+    (["simulate", "planar", "--c2", "0"], "planar: --c2 = 0 "),
+    (["simulate", "planar", "--z-u", "1"], "planar: --z-u = 1 "),
+    (["simulate", "planar", "--dt", "0"], "planar: --dt = 0 "),
+    (["simulate", "planar", "--dt", "50"], "planar: --dt = 50 s exceeds"),
+    (["simulate", "planar", "--travel", "0"], "planar: --travel = 0 rad"),
     (["simulate", "planar", "--convention", "wrong"], "corrected, printed"),
     (["simulate", "planar", "--method", "euler"], "rk4"),
-    (["simulate", "planar", "--initial-state", "0", "0", "nan", "0"], "initial_state"),
+    (["simulate", "planar", "--initial-state", "0", "0", "nan", "0"], "planar: --initial-state = "),
     (["tune", "planar", "--frozen", "c3"], "c3"),
     (["tune", "planar", "--smoothing", "0.2"], "smoothing has 1 stages and stiffness 3"),
     (["tune", "planar", "--iterations", "2"], "iterations = 2 does not reach the last of 3 stages"),
     (["tune", "planar", "--spec", "none.toml"], "none.toml' cannot be read"),
     (["tune", "planar", "--uncertainty.scenarios", "2", "--uncertainty.aggregate", "best"], "mean, cvar, worst"),
-    (["tune", "planar", "--swing-weight", "-1"], "swing_weight = -1"),
+    (["tune", "planar", "--swing-weight", "-1"], "planar: --swing-weight = -1 "),
     (["tune", "planar", "--gradient", "sideways"], "forward, reverse"),
     (["simulate", "spatial", "--robot.shell-inertia", "0.018", "0.02", "0.018"], "symmetric about its spin axis"),
     (["simulate", "spatial", "--slope-deg", "19"], "18.76 deg"),
     (["simulate", "spatial", "--path", "knot"], "line, circle, eight"),
-    (["simulate", "spatial", "--k2", "0"], "gains.k2 = 0"),
+    (["simulate", "spatial", "--k2", "0"], "spatial: --k2 = 0 "),
     (["simulate", "spatial", "--realisation", "perfect"], "pendulum_attitude"),
     (["reproduce", "fig9"], "fig4"),
     (["bench", "--case", "cubic"], "planar"),
-    (["bench", "--lanes", "0"], "lanes = 0"),
+    (["bench", "--lanes", "0"], "bench: --lanes = 0 "),
 ]
 
 
@@ -157,6 +157,16 @@ def test_bad_input_is_one_sentence_and_code_two(capsys, tmp_path, words, named):
     assert named in err
     assert "Traceback" not in out + err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_value_of_a_spec_is_named_as_it_stands_there_and_one_that_is_typed_by_its_option(capsys, tmp_path):
+    (tmp_path / "spec.toml").write_text("[motion]\nslope_deg = 95\n[gains]\nc1 = 0\n[plant]\nshell_mass = -2\n")
+    words = ["simulate", "planar", "--spec", str(tmp_path / "spec.toml"), "--out", str(tmp_path / "out")]
+    assert "planar: [motion] slope_deg = 95 deg is not" in run(capsys, *words)[2]
+    assert "planar: --slope-deg = 96 deg is not" in run(capsys, *words, "--slope-deg", "96")[2]
+    assert "planar: [plant] shell_mass = -2 is not" in run(capsys, *words, "--slope-deg", "5")[2]
+    assert "planar: [gains] c1 = 0 is not" in run(capsys, *words, "--slope-deg", "5", "--plant.shell-mass", "1")[2]
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_folder_that_cannot_be_written_is_named(capsys, tmp_path):

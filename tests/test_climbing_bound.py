@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jaxsphere as js
-from experiments.bound import random_gains, random_robots
+from experiments.studies.bound import random_gains, random_robots
 from jaxsphere.simulation import pausable
 from jaxsphere.simulation.bisection import Trial, largest_success
 from jaxsphere.status import Status

@@ -8,8 +8,8 @@ import pytest
 
 import jaxsphere as js
 from experiments import cli
-from experiments import climbing_axes as axes
-from experiments import climbing_map as maps
+from experiments.studies import climbing_axes as axes
+from experiments.studies import climbing_map as maps
 from jaxsphere.sweep.refine import refine
 
 QUICK = axes.Setting(js.Climb(dt=15e-3))

@@ -1,10 +1,15 @@
 """TOML specs of the command line."""
 
+import numpy as np
 import pytest
 
-from experiments.cli import SimulateSpatial, TunePlanar
-from experiments.options.spec import load_spec, take_spec
-from experiments.robustness import CASES, specified
+from experiments.cli.reproduce import robust_studies
+from experiments.cli.simulate import COMMANDS as SIMULATE
+from experiments.cli.spec import load_spec, take_spec
+from experiments.cli.tune import COMMANDS as TUNE
+from experiments.studies.robust import CASES
+
+TunePlanar, SimulateSpatial = TUNE["tune planar"].options, SIMULATE["simulate spatial"].options
 
 
 def written(folder, text):
@@ -31,12 +36,14 @@ def test_a_spec_changes_what_it_names_and_nothing_else(tmp_path):
     assert other.motion.torque_limit == 3.0
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_shipped_specs_load(case):
-    found = specified(case)
-    assert found.uncertainty.scenarios > 0
-    assert found.uncertainty.known is (case == "known")
-    assert (found.gains.k_i > 0.0) is (case == "unknown")
+def test_shipped_specs_load():
+    found = robust_studies()
+    assert set(found) == set(CASES)
+    for case, asked in found.items():
+        assert asked["unlike"].scenarios == 16
+        assert asked["unlike"].known is (case == "known")
+        assert asked["unlike"].slopes == pytest.approx(np.deg2rad([5.0, 15.0 if case == "known" else 13.0]))
+        assert (asked["initial"].k_i > 0.0) is (case == "unknown")
 
 
 def test_the_spec_is_taken_off_the_words():
@@ -50,7 +57,7 @@ def test_the_spec_is_taken_off_the_words():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[tuning]\nstart = 3", r"\[tuning\]: 'start' is no option here; type one of slope_deg, "),
+        ("[tuning]\nstart = 3", r"\[tuning\]: 'start' is no option here; type one of .*slope_deg, "),
         ("tuning = 3", r"tuning = 3 is no table; type \[tuning\] and its options below"),
         ("[tuning]\nstarts = 2.5", r"starts = 2.5 is not a whole number; type a whole number"),
         ("[tuning]\nstarts = true", "starts = True is not a whole number"),

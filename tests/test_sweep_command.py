@@ -12,7 +12,7 @@ import pytest
 
 import jaxsphere as js
 from experiments import cli
-from experiments.options.sweep import read_spec
+from experiments.cli.sweep_spec import read_spec
 
 ROOT = Path(__file__).parent.parent
 HEAD = """

@@ -48,9 +48,10 @@ def files(manifest: dict[str, Any], chunks: Chunks, arrays: np.dtype) -> dict[st
     """
     import zarr
     from zarr.codecs import Crc32cCodec
+    from zarr.storage import MemoryStore
 
     content: dict[str, Any] = {}
-    memory = zarr.storage.MemoryStore(content)
+    memory = MemoryStore(content)
     axes = axes_of(manifest["spec"]["axes"])
     dimensions = tuple(axis.name for axis in axes)
     columns = [(axis, column) for axis in axes for column in axis.columns]

@@ -1,0 +1,1 @@
+"""Benchmarks: speed, memory and search, each against peers in the same run."""

@@ -1,0 +1,7 @@
+"""`python -m experiments.cli` is `jaxsphere`."""
+
+import sys
+
+from experiments.cli.entry import main
+
+sys.exit(main())

@@ -1,1 +1,0 @@
-"""What each subcommand does, in terms of the library; one file per subject."""

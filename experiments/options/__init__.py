@@ -1,1 +1,0 @@
-"""Options of the command line as typed dataclasses; each makes the library's own object from its fields."""

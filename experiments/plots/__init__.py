@@ -1,0 +1,1 @@
+"""Pictures from numbers: matplotlib is imported here only, and nothing of the studies or the command line."""
