@@ -11,7 +11,7 @@ import pytest
 
 import jaxsphere as js
 import tuning
-from tuning import tuner
+from tuning import search
 
 TABLE_3 = js.SlidingModeGains()
 
@@ -188,7 +188,7 @@ def test_interrupt_before_anything_is_known_passes_on(monkeypatch):
 
 def interrupt_at(monkeypatch, chunk):
     """Press Ctrl-C as the given chunk begins."""
-    batched = tuner.over_lanes
+    batched = search.over_lanes
 
     def over_lanes(function, *settings):
         run, calls = batched(function, *settings), iter(range(1, chunk + 1))
@@ -200,7 +200,7 @@ def interrupt_at(monkeypatch, chunk):
 
         return interrupted
 
-    monkeypatch.setattr(tuner, "over_lanes", over_lanes)
+    monkeypatch.setattr(search, "over_lanes", over_lanes)
 
 
 BAD = {

@@ -27,9 +27,9 @@ from jaxsphere.controllers import sliding_mode
 from jaxsphere.models import planar
 from jaxsphere.numerics import Real
 from jaxsphere.tasks.metrics import SETTLING_BAND
-from tuning.objectives import RestToRest, Weights
-from tuning.second_order import levenberg_marquardt
-from tuning.tuner import tune
+from tuning.objectives.regulation import RestToRest, Weights
+from tuning.optimisers.levenberg_marquardt import levenberg_marquardt
+from tuning.search import tune
 
 GAINS = ("c1", "c2", "z_u", "phi_z", "eta", "k")
 DESIGN = ("shell_mass", "gimbal_mass", "pendulum_mass", "pendulum_length", "shell_radius", "shell_inertia", "gimbal_inertia")
@@ -233,11 +233,11 @@ def tune_to_climb(
         objective = RestToRest(
             climb.robot,
             slope,
-            climb.travel,
-            steps * dt,
-            dt,
-            smoothing,
-            None if climb.torque_limit is None else float(climb.torque_limit),
+            travel=climb.travel,
+            duration=steps * dt,
+            dt=dt,
+            smoothing=smoothing,
+            torque_limit=None if climb.torque_limit is None else float(climb.torque_limit),
             weights=Weights(swing=0.0, prior=0.003),
         )
         # Long steps find gains that are quicker on this slope and fall off the ridge on the next.

@@ -55,7 +55,8 @@ def search(
     found = tuning.tune(objective, initial, **options, **settings)
     if not validation_speeds:
         return found
-    return choose(found, objective.robot, float(objective.slope), validation_speeds, objective.torque_limit)
+    task = objective.task
+    return choose(found, task.robot, float(task.slope), validation_speeds, task.torque_limit)
 
 
 def score(
