@@ -54,11 +54,6 @@ class TuningResult:
         """Return the fraction of the starts whose best objective is within `share` of the best of all."""
         return float(np.mean(self.bests <= self.objective + share * abs(self.objective))) if self.bests.size else 0.0
 
-    def rollouts_until(self, value: float) -> int | None:
-        """Return the rollouts with gradient, over all starts, until one of them is at or below `value`; None if none is."""
-        reached = np.any(self.history["objective"] <= value, axis=1)
-        return int((np.argmax(reached) + 1) * self.history["objective"].shape[1]) if reached.any() else None
-
     def report(self) -> str:
         """Return a table of the gains and the objective before and after, the starts, and the gains to copy, as text."""
         rows = [f"{'gain':<10}{'before':>12}{'after':>12}"]

@@ -29,7 +29,6 @@ from tuning.result import TuningResult
 from tuning.transforms import GRADIENTS, Parametrisation, Transform, bounded, parametrise, value_and_gradient
 
 _ITERATIONS = {"adam": 150, "lbfgs": 60, "lm": 35}
-OPTIMISERS = tuple(_ITERATIONS)
 
 
 class _Start(NamedTuple):
@@ -122,8 +121,8 @@ def tune(
         ValueError: an argument is not admissible, the objective is no scalar or not finite at `initial_gains`, or the
             checkpoint is of another problem.
     """
-    for name, value in (("starts", starts), ("chunk", chunk)):
-        require_count(name, value)
+    require_count("starts", starts)
+    require_count("chunk", chunk)
     require_scalar("spread", spread, above=0.0, or_equal=True)
     if resume and checkpoint is None:
         raise ValueError("resume = True needs a file; type checkpoint='tuning.npz'")
@@ -148,23 +147,18 @@ def tune(
     return _select(search, *_iterate(search, batch, history, chunk, progress, save))
 
 
-def _optimiser(
-    asked: str | Optimiser | tuple[Any, Any], learning_rate: float, iterations: int | None
-) -> tuple[Optimiser, str, int]:
-    if isinstance(asked, str):
-        require_choice("optimiser", asked, OPTIMISERS)
-    elif not isinstance(asked, Optimiser):
-        if type(asked) is not tuple or len(asked) != 2 or not all(map(callable, asked)):
-            raise ValueError(f"optimiser = {asked!r} is none; type one of {', '.join(OPTIMISERS)}, or a pair (init, update)")
-        asked = Optimiser(*asked)
+def _optimiser(asked: Any, learning_rate: float, iterations: int | None) -> tuple[Optimiser, str, int]:
     label = asked if isinstance(asked, str) else "custom"
     iterations = _ITERATIONS.get(label, 150) if iterations is None else iterations
     require_count("iterations", iterations)
     require_scalar("learning_rate", learning_rate, above=0.0)
-    if isinstance(asked, Optimiser):
-        return asked, label, iterations
-    known = {"lbfgs": lbfgs, "lm": levenberg_marquardt, "adam": lambda: adam(cosine_decay(learning_rate, iterations))}
-    return known[asked](), label, iterations
+    if isinstance(asked, str):
+        require_choice("optimiser", asked, tuple(_ITERATIONS))
+        known = {"lbfgs": lbfgs, "lm": levenberg_marquardt, "adam": lambda: adam(cosine_decay(learning_rate, iterations))}
+        return known[asked](), label, iterations
+    if not isinstance(asked, Optimiser) and (type(asked) is not tuple or len(asked) != 2 or not all(map(callable, asked))):
+        raise ValueError(f"optimiser = {asked!r} is none; type one of {', '.join(_ITERATIONS)}, or a pair (init, update)")
+    return Optimiser(*asked), label, iterations
 
 
 def _checked(search: _Search) -> Float[Array, " n"]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -16,6 +17,7 @@ from jax import Array
 
 from jaxsphere import SlidingModeGains, TrackingGains
 from jaxsphere.checks import require_choice
+from tuning.optimisers.levenberg_marquardt import with_jacobian
 
 
 class Transform(NamedTuple):
@@ -129,10 +131,4 @@ def value_and_gradient(
     def of_vector(vector: Array) -> Array:
         return objective(chosen.to_gains(vector))
 
-    def forward(vector: Array) -> tuple[Array, Array]:
-        def push(direction: Array) -> tuple[Array, Array]:
-            return jax.jvp(of_vector, (vector,), (direction,))
-
-        return jax.vmap(push, out_axes=(None, 0))(jnp.eye(vector.size, dtype=vector.dtype))
-
-    return forward if gradient == "forward" else jax.value_and_grad(of_vector)
+    return partial(with_jacobian, of_vector) if gradient == "forward" else jax.value_and_grad(of_vector)

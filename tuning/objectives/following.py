@@ -61,7 +61,6 @@ class FollowLine(TaskObjective):
     """
 
     BOUNDS: ClassVar[dict[str, tuple[float, float]]] = SPATIAL_BOUNDS
-    FIGURES: ClassVar[tuple[str, ...]] = ("late error, m", "peak lean, rad", "effort, (N m)^2 s")
 
     task: js.SpatialTask = js.SpatialTask(control_period=4e-3, settled_after=2.0)
     numerics: js.Numerics = js.Numerics(dt=4e-3, duration=4.0, save_every=5)
@@ -169,7 +168,10 @@ class FollowLine(TaskObjective):
         return jax.tree.map(jnp.max, self.each(of_one))
 
     def figures(self, gains: js.TrackingGains) -> Float[Array, 3]:
-        """Return `FIGURES`, the worst lane's, scored with a 1 kHz hold; infinite unless every lane lasts."""
+        """Return late error (m), peak lean (rad) and effort ((N m)^2 s) of the worst lane, infinite unless every lane lasts.
+
+        They are scored with a 1 kHz hold.
+        """
 
         def of_one(task: js.SpatialTask) -> Array:
             task, numerics = with_settings(task, self.numerics, SCORING)

@@ -94,7 +94,6 @@ class RestToRest(TaskObjective):
     """
 
     BOUNDS: ClassVar[dict[str, tuple[float, float]]] = BOUNDS
-    FIGURES: ClassVar[tuple[str, ...]] = ("settling time, s", "peak swing about equilibrium, rad", "effort, (N m)^2 s")
 
     task: js.PlanarTask = js.PlanarTask(torque_limit=5.0, smoothing=0.2, control_period=8e-3)
     numerics: js.Numerics = js.Numerics(dt=8e-3, duration=8.0)
@@ -140,7 +139,10 @@ class RestToRest(TaskObjective):
         return Limits(hard, {"swing": swing, "overshoot": trajectory.metrics.overshoot - self.overshoot_limit})
 
     def figures(self, gains: js.SlidingModeGains) -> Float[Array, 3]:
-        """Return `FIGURES` scored with the hard sign and a 1 kHz hold; infinite unless the lane is ok."""
+        """Return settling time (s), peak swing about equilibrium (rad) and effort ((N m)^2 s), infinite unless the lane is ok.
+
+        They are scored with the hard sign and a 1 kHz hold.
+        """
         task, numerics = with_settings(self.task, self.numerics, SCORING | {"smoothing": 0.0})
         found = js.simulate(task, gains, numerics, throw=False)
         three = jnp.stack([found.metrics.settling_time, found.metrics.peak_swing, found.metrics.effort])

@@ -137,6 +137,15 @@ def _damped_step(now: _Secant, damping: Array, longest: float, floor: float) -> 
     return step * jnp.minimum(1.0, longest / jnp.maximum(jnp.max(jnp.abs(step)), longest))
 
 
+def with_jacobian(function: Callable[[Array], Array], vector: Float[Array, " n"]) -> tuple[Array, Float[Array, "n ..."]]:
+    """Return function(vector) and its derivatives by forward mode: no memory in the horizon of a rollout."""
+
+    def push(direction: Array) -> tuple[Array, Array]:
+        return jax.jvp(function, (vector,), (direction,))
+
+    return jax.vmap(push, out_axes=(None, 0))(jnp.eye(vector.size, dtype=vector.dtype))
+
+
 def linearise(
     residuals: Callable[[Array], Array], vector: Float[Array, " n"], largest_residual_gradient: float = math.inf
 ) -> LeastSquares:
@@ -149,10 +158,7 @@ def linearise(
             ones are clipped, the value is not: in chaotic regimes they are unreliable.
     """
 
-    def push(direction: Array) -> tuple[Array, Array]:
-        return jax.jvp(residuals, (vector,), (direction,))
-
-    r, jacobian = jax.vmap(push, out_axes=(None, 0))(jnp.eye(vector.shape[0], dtype=vector.dtype))
+    r, jacobian = with_jacobian(residuals, vector)
     if largest_residual_gradient < math.inf:
         most = largest_residual_gradient * jnp.maximum(jnp.abs(r), jnp.sqrt(jnp.mean(r * r)))
         slope = jnp.sqrt(jnp.sum(jacobian * jacobian, axis=0))

@@ -14,6 +14,7 @@ from jaxsphere.checks import require_count
 from jaxsphere.simulation.lanes import over_lanes
 from tuning import starts as drawn
 from tuning.objectives.following import FollowLine
+from tuning.objectives.objective import members_of
 from tuning.objectives.regulation import RestToRest
 from tuning.optimisers.levenberg_marquardt import levenberg_marquardt, linearise
 from tuning.transforms import bounded, parametrise
@@ -77,14 +78,14 @@ def pareto_front(
     cube = drawn.latin_hypercube(jax.random.key(seed), points, 2)
     swings = swing[0] * (swing[1] / swing[0]) ** cube[:, 0]
     efforts = effort[0] * (effort[1] / effort[0]) ** cube[:, 1]
-    rule = levenberg_marquardt()
+    rule, cap = levenberg_marquardt(), members_of(objective).largest_residual_gradient
 
     def search(vector: Array, limit: Array, weight: Array) -> Array:
         task = objective.compromise(limit, weight)
 
         def iterate(carry: tuple[Array, Any], _: None) -> tuple[tuple[Array, Any], Array]:
             trial, state = carry
-            seen = linearise(lambda free: task.residuals(chosen.to_gains(free)), trial)
+            seen = linearise(lambda free: task.residuals(chosen.to_gains(free)), trial, cap)
             moved = rule.update(seen, state, trial)
             return moved, moved[0]
 
@@ -94,7 +95,7 @@ def pareto_front(
     vectors = drawn.across(jax.random.key(seed + 1), chosen.to_vector(initial_gains), points)
     # Iterates are candidates too.
     passed = jnp.reshape(over_lanes(search)(vectors, swings, efforts), (points * iterations, len(chosen.names)))
-    nothing = _Scored(np.zeros((0, len(chosen.names))), np.zeros((0, len(objective.FIGURES))))
+    nothing = _Scored(np.zeros((0, len(chosen.names))), np.zeros((0, 3)))
     front = nothing.joined(_Scored(np.asarray(passed), np.asarray(score(passed))))
     if not len(front.vectors):
         raise ValueError("none of the tuned gains settles within duration; type a longer duration or other bounds")

@@ -16,11 +16,10 @@ from jaxtyping import Float
 import jaxsphere as js
 from jaxsphere.checks import require_choice, require_count, require_scalar
 from jaxsphere.numerics import Real
+from tuning.objectives.objective import members_of
 from tuning.objectives.terms import first_not_finite
 
 AGGREGATES = ("mean", "cvar", "worst")
-MASSES = ("shell_mass", "gimbal_mass", "pendulum_mass")
-INERTIAS = ("shell_inertia", "gimbal_inertia")
 
 Scenarios = js.PlanarTask | js.SpatialTask  # whose drawn fields have a leading axis
 
@@ -143,7 +142,7 @@ class Robust:
     @property
     def largest_residual_gradient(self) -> float:
         """See `linearise`."""
-        return getattr(self.objective, "largest_residual_gradient", math.inf)
+        return members_of(self.objective).largest_residual_gradient
 
     def values(self, gains: Any) -> Float[Array, " count"]:
         """Return the objective of every scenario."""
