@@ -68,7 +68,7 @@ def test_rounds_fill_in_the_front_and_reach_beyond_its_edge(monkeypatch):
 def test_figures_are_scored_with_the_hard_sign_and_infinite_unless_settled():
     task, gains = tuning.RestToRest(), js.SlidingModeGains()
     found = js.rest_to_rest(
-        js.Robot(), task.slope, gains, 10.0, 8.0, 1e-3, 0.0, 5.0, control_period=1e-3, save_every=None, throw=False
+        js.Robot(), task.task.slope, gains, 10.0, 8.0, 1e-3, 0.0, 5.0, control_period=1e-3, save_every=None, throw=False
     )
     assert found.status == js.Status.OK
     expected = [found.metrics.settling_time, found.metrics.peak_swing, found.metrics.effort]
