@@ -125,7 +125,7 @@ def assigned_accelerations(lumped: Lumped, state: State, demand: Pair) -> tuple[
     Differs from the paper: the pseudo-inverse of Phi stands for its inverse; u is zero on psi, beta1 and beta2.
     """
     angles, velocity = momentum.angles_of(state), tuple(state)[7:]
-    _, (drift_x, drift_y) = momentum.center_of(lumped, angles, velocity, "corrected")
+    _, (drift_x, drift_y) = momentum.center_of(lumped, angles, velocity)
     along_x = angles.c_psi * demand[0] + angles.s_psi * demand[1] - drift_x
     along_y = angles.c_psi * demand[1] - angles.s_psi * demand[0] - drift_y
     return along_x / lumped.radius, -along_y / (lumped.radius * angles.s_theta)

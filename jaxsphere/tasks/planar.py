@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 
 from jaxsphere.checks import is_concrete, require_choice, require_finite_vector, require_scalar
-from jaxsphere.controllers import sliding_mode
+from jaxsphere.controllers import printed, sliding_mode
 from jaxsphere.controllers.sliding_mode import SlidingModeGains
 from jaxsphere.models import planar
 from jaxsphere.models.equilibrium import can_hold, climbing_bound, equilibrium_swing
@@ -88,7 +88,7 @@ class PlanarTask:
                 require_finite_vector(name, getattr(self, name), 4, entries)
         if self.delayed is not None and self.control_period is None:
             raise ValueError("delayed needs a sampled controller; type control_period=1e-3")
-        require_choice("convention", self.convention, sliding_mode.CONVENTIONS)
+        require_choice("convention", self.convention, printed.CONVENTIONS)
 
     def start(self) -> tuple[State, State]:
         """Initial state (alpha, alpha', phi, phi') and the law's memory zeta."""
@@ -112,11 +112,14 @@ class PlanarTask:
 
     def law(self, gains: SlidingModeGains) -> Law:
         """Sliding-mode law of this task, with the bias of its sensors."""
-        law = sliding_mode.law(self.robot, self.slope, gains, self.target(), self.smoothing, self.convention)
+        law = sliding_mode.law(self.robot, self.slope, self._in_convention(gains), self.target(), self.smoothing)
         if self.sensor_bias is None:
             return law
         bias = self.sensor_bias
         return lambda time, state, memory: law(time, tuple(x + b for x, b in zip(state, bias, strict=True)), memory)
+
+    def _in_convention(self, gains: SlidingModeGains) -> SlidingModeGains:
+        return printed.sliding_mode_gains(gains) if self.convention == "printed" else gains
 
     def measure(self) -> Measure:
         """Metrics of the move."""
@@ -131,9 +134,8 @@ class PlanarTask:
         if diagnostics:
             lumped, equilibrium = planar.lump(self.robot, self.slope), equilibrium_swing(self.robot, self.slope)
             states, corrections = tuple(trajectory.state.T), trajectory.memory[:, 0]
-            signals = sliding_mode.signals(
-                lumped, equilibrium, gains, states, corrections, self.target(), self.smoothing, self.convention
-            )
+            gains = self._in_convention(gains)
+            signals = sliding_mode.signals(lumped, equilibrium, gains, states, corrections, self.target(), self.smoothing)
         return dataclasses.replace(trajectory, status=status, diagnostics=signals)
 
     def advice(self) -> dict[Status, str]:
