@@ -24,6 +24,7 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
+from jaxsphere import units  # noqa: E402
 from jaxsphere.controllers import references, sliding_mode, tracking  # noqa: E402
 from jaxsphere.controllers.sliding_mode import SlidingModeGains, nonsingularity_margin, sliding_mode_poles  # noqa: E402
 from jaxsphere.controllers.tracking import TrackingGains  # noqa: E402
@@ -62,6 +63,14 @@ from jaxsphere.tasks import (  # noqa: E402
     steepest_slope,
     track,
     track_line,
+)
+from jaxsphere.tasks.metrics import RegulationMetrics, TrackingMetrics  # noqa: E402
+
+units.declare(
+    *(Robot, SlidingModeGains, TrackingGains, PlanarTask, SpatialTask, Numerics),
+    *(RegulationMetrics, TrackingMetrics, Trajectory),
+    speed=("m/s", "along a line or a circle"),
+    start=("m", "where the robot rests at first when it follows a line"),
 )
 
 __all__ = [

@@ -31,6 +31,7 @@ from jaxsphere.models.equilibrium import can_hold, equilibrium_swing
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot
 from jaxsphere.status import ControllerOutput, Status, code
+from jaxsphere.units import quantity
 
 # The correction zeta stops here (rad). Uncertain masses of +-20 % move phi_0 of set A by about 0.1 rad at 10 degrees.
 CORRECTION_LIMIT = 0.35
@@ -39,19 +40,15 @@ CORRECTION_LIMIT = 0.35
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class SlidingModeGains:
-    """Gains of the decoupled sliding-mode controller; the defaults are Table 3.
+    """Gains of the decoupled sliding-mode controller; the defaults are Table 3."""
 
-    c1 (1/s), c2 (1/s): slopes of the surfaces. z_u (rad, 0..1): largest swing asked for. phi_z (rad/s): width over which it
-    is reached. eta (rad/s2), k (1/s): switching gains. k_i (rad/s): equilibrium seeking, 0 for the paper's law.
-    """
-
-    c1: Real = 0.5501
-    c2: Real = 2.3272
-    z_u: Real = 0.9626
-    phi_z: Real = 7.4822
-    eta: Real = 2.7688
-    k: Real = 0.6769
-    k_i: Real = 0.0
+    c1: Real = quantity(0.5501, "1/s", "slope of the sphere's sliding surface")
+    c2: Real = quantity(2.3272, "1/s", "slope of the pendulum's sliding surface")
+    z_u: Real = quantity(0.9626, "rad", "largest swing asked for beyond equilibrium, between 0 and 1")
+    phi_z: Real = quantity(7.4822, "rad/s", "width over which it is reached")
+    eta: Real = quantity(2.7688, "rad/s2", "switching gain")
+    k: Real = quantity(0.6769, "1/s", "proportional reaching gain")
+    k_i: Real = quantity(0.0, "rad/s", "equilibrium-seeking gain; 0 is the paper's law")
 
 
 class Signals(NamedTuple):

@@ -27,12 +27,9 @@ from jaxsphere.status import Status, code
 from jaxsphere.tasks import metrics
 from jaxsphere.tasks.numerics import Numerics
 from jaxsphere.tasks.simulate import simulate
+from jaxsphere.units import quantity
 
 TEN_DEGREES = math.radians(10.0)
-
-
-def _leaf(default: Any, unit: str, words: str) -> Any:
-    return field(default=default, metadata={"unit": unit, "help": words})
 
 
 @jax.tree_util.register_dataclass
@@ -44,16 +41,16 @@ class PlanarTask:
     """
 
     robot: Robot = field(default_factory=Robot, metadata={"help": "that the controller believes in"})
-    slope: Real = _leaf(TEN_DEGREES, "rad", "slope, positive up-slope")
-    travel: Real = _leaf(10.0, "rad", "angle that the sphere should roll")
+    slope: Real = quantity(TEN_DEGREES, "rad", "slope, positive up-slope")
+    travel: Real = quantity(10.0, "rad", "angle that the sphere should roll")
     plant: Robot | None = field(default=None, metadata={"help": "true robot, where it differs from the modelled one"})
-    initial_state: Any = _leaf(None, "rad and rad/s", "alpha, alpha', phi, phi' (4,)")
-    torque_limit: Real | None = _leaf(None, "N m", "motor limit; None for none")
-    smoothing: Real = _leaf(0.02, "rad/s", "width of the smoothed sign; 0 for the hard sign")
-    control_period: Real | None = _leaf(None, "s", "sampling period of the controller, a multiple of dt; None: continuous")
+    initial_state: Any = quantity(None, "", "(4,) alpha, alpha', phi, phi', rad and rad/s; rest at phi_0 if not given")
+    torque_limit: Real | None = quantity(None, "N m", "motor limit; None for none")
+    smoothing: Real = quantity(0.02, "rad/s", "width of the smoothed sign; 0 for the hard sign")
+    control_period: Real | None = quantity(None, "s", "sampling period of the controller, a multiple of dt; None: continuous")
     delayed: Any = field(default=None, metadata={"help": "each torque acts one control period after its sample"})
-    sensor_bias: Any = _leaf(None, "rad and rad/s", "added to the state that the controller sees (4,)")
-    disturbance: Any = _leaf(None, "rad and rad/s", "added to the initial state (4,)")
+    sensor_bias: Any = quantity(None, "", "(4,) added to the alpha, alpha', phi, phi' that the controller sees, rad and rad/s")
+    disturbance: Any = quantity(None, "", "(4,) added to the initial state, rad and rad/s")
     convention: str = field(default="corrected", metadata={"static": True, "help": "sign of z in (8): corrected or printed"})
 
     def default_gains(self) -> SlidingModeGains:
