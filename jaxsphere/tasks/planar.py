@@ -48,7 +48,7 @@ class PlanarTask:
     torque_limit: Real | None = quantity(None, "N m", "motor limit; None for none")
     smoothing: Real = quantity(0.02, "rad/s", "width of the smoothed sign; 0 for the hard sign")
     control_period: Real | None = quantity(None, "s", "sampling period of the controller, a multiple of dt; None: continuous")
-    delayed: Any = field(default=None, metadata={"help": "each torque acts one control period after its sample"})
+    delayed: Array | bool | None = field(default=None, metadata={"help": "each torque acts one control period later"})
     sensor_bias: Any = quantity(None, "", "(4,) added to the alpha, alpha', phi, phi' that the controller sees, rad and rad/s")
     disturbance: Any = quantity(None, "", "(4,) added to the initial state, rad and rad/s")
     convention: str = field(default="corrected", metadata={"static": True, "help": "sign of z in (8): corrected or printed"})
@@ -138,8 +138,7 @@ class PlanarTask:
     def advice(self) -> dict[Status, str]:
         """What to change after a single rollout that ended with one of these statuses."""
         steep = "no swing of the pendulum balances the demand; lower the slope"
-        if is_concrete((self.robot, self.slope)) and jnp.ndim(self.slope) == 0:
-            steep = past_bound(self.robot, self.slope) or steep
+        steep = past_bound(self.robot, self.slope) or steep
         return {
             Status.WHIRLING: "the pendulum went over the top; lower z_u or the slope",
             Status.DIVERGED: "the robot rolled away; check the sign convention, the gains and the torque limit",
@@ -162,7 +161,7 @@ def rest_to_rest(
     plant: Robot | None = None,
     initial_state: Any = None,
     control_period: Real | None = None,
-    delayed: Any = None,
+    delayed: Array | bool | None = None,
     sensor_bias: Any = None,
     convention: str = "corrected",
     method: str = "rk4",

@@ -81,7 +81,7 @@ class SpatialTask:
     initial_state: Any = quantity(None, "", "(12,), m, rad and their rates, in place of both")
     torque_limit: Real | None = quantity(5.0, "N m", "of both motors; None for none")
     control_period: Real | None = quantity(None, "s", "sampling period; None: continuous")
-    delayed: Any = field(default=None, metadata={"help": "each torque acts one control period after its sample"})
+    delayed: Any = field(default=None, metadata={"help": "each torque acts one control period later"})
     tolerance: Real = quantity(0.05, "m", "error above which the reference is not followed")
     settled_after: Real = quantity(5.0, "s", "time allowed for settling")
     realisation: str = field(default="pendulum_attitude", metadata={"static": True, "help": "one of tracking.REALISATIONS"})
