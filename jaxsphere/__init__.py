@@ -24,6 +24,7 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
+from jaxsphere import units  # noqa: E402
 from jaxsphere.controllers import references, sliding_mode, tracking  # noqa: E402
 from jaxsphere.controllers.sliding_mode import SlidingModeGains  # noqa: E402
 from jaxsphere.controllers.sliding_mode import nonsingularity_margin as nonsingularity_margin  # noqa: E402
@@ -60,6 +61,14 @@ from jaxsphere.tasks import outcome_run as outcome_run  # noqa: E402
 from jaxsphere.tasks import require_holdable as require_holdable  # noqa: E402
 from jaxsphere.tasks import slope_search as slope_search  # noqa: E402
 from jaxsphere.tasks import static_bound_by_release as static_bound_by_release  # noqa: E402
+from jaxsphere.tasks.metrics import RegulationMetrics, TrackingMetrics  # noqa: E402
+
+units.declare(
+    *(Robot, SlidingModeGains, TrackingGains, PlanarTask, SpatialTask, Numerics),
+    *(RegulationMetrics, TrackingMetrics, Trajectory),
+    speed=("m/s", "along a line or a circle"),
+    start=("m", "where the robot rests at first when it follows a line"),
+)
 
 __version__ = "0.1.0"
 
