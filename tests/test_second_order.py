@@ -171,13 +171,13 @@ def test_slopes_steeper_than_the_cap_are_scaled_down_and_the_value_is_not():
         return jnp.stack([x[0] + 1.0, 1e6 * x[1] + 0.1, 2.0 * x[1] - 1.0])
 
     x = jnp.zeros(2)
-    seen = tuning.quadratic(chaotic, x, steepest=3.0)
+    seen = tuning.quadratic(chaotic, x, largest_residual_gradient=3.0)
     size = np.sqrt(2.01 / 3.0)
     jacobian = np.array([[1.0, 0.0], [0.0, 3.0 * size], [0.0, 2.0]])
     assert seen.value == pytest.approx(2.01)
     np.testing.assert_allclose(seen.gradient, 2.0 * jacobian.T @ [1.0, 0.1, -1.0], rtol=1e-12)
     np.testing.assert_allclose(seen.hessian, 2.0 * jacobian.T @ jacobian, rtol=1e-12)
-    uncapped = tuning.quadratic(chaotic, x, steepest=1e9)
+    uncapped = tuning.quadratic(chaotic, x, largest_residual_gradient=1e9)
     for one, other in zip(uncapped, tuning.quadratic(chaotic, x), strict=True):
         np.testing.assert_array_equal(one, other)
 

@@ -27,9 +27,9 @@ from jaxsphere.controllers import sliding_mode
 from jaxsphere.models import planar
 from jaxsphere.tasks.climbing import MINUTE
 from jaxsphere.tasks.metrics import SETTLING_BAND
-from tuning.objectives import RestToRest, Weights
-from tuning.second_order import levenberg_marquardt
-from tuning.tuner import tune
+from tuning.objectives.regulation import RestToRest, Weights
+from tuning.optimisers.levenberg_marquardt import levenberg_marquardt
+from tuning.search import tune
 
 GAINS = ("c1", "c2", "z_u", "phi_z", "eta", "k")
 DESIGN = ("shell_mass", "gimbal_mass", "pendulum_mass", "pendulum_length", "shell_radius", "shell_inertia", "gimbal_inertia")
@@ -224,8 +224,16 @@ def tune_to_climb(
         # Beyond gamma* where climbs are only too slow; where they fall off the ridge they teach nothing, so just below it.
         too_slow = int(found.status) == js.Status.NOT_SETTLED
         slope = max(float(found.lower) + (_AHEAD if too_slow else -_BEHIND) * (static - bounds[-1]), 0.0)
-        weights = Weights(swing=0.0, prior=0.003)
-        objective = RestToRest(task.robot, slope, task.travel, duration, dt, smoothing, limit, weights=weights)
+        objective = RestToRest(
+            task.robot,
+            slope,
+            travel=task.travel,
+            duration=duration,
+            dt=dt,
+            smoothing=smoothing,
+            torque_limit=limit,
+            weights=Weights(swing=0.0, prior=0.003),
+        )
         # Long steps find gains that are quicker on this slope and fall off the ridge on the next.
         rule = levenberg_marquardt(longest=_LONGEST)
         tuned = tune(objective, best, optimiser=rule, iterations=iterations, progress=progress).gains

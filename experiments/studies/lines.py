@@ -55,7 +55,8 @@ def search(
     found = tuning.tune(objective, initial, **options, **settings)
     if not validation_speeds:
         return found
-    return choose(found, objective.robot, float(objective.slope), validation_speeds, objective.torque_limit)
+    task = objective.task
+    return choose(found, task.robot, float(task.slope), validation_speeds, task.torque_limit)
 
 
 def score(
@@ -83,7 +84,7 @@ def score(
 
 
 def choose(
-    result: tuning.TuningResult, robot: js.Robot, slope: float, speeds: Sequence[float], torque_limit: float | None
+    result: tuning.TuningResult, robot: js.Robot, slope: float, speeds: Sequence[float], torque_limit: Any
 ) -> tuning.TuningResult:
     """Result with that of its starts' answers that does best at `speeds`, which the search has not seen.
 

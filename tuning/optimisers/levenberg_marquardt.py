@@ -1,7 +1,6 @@
-"""Second-order optimisers as pairs (init, update): one evaluation with derivatives per update, so that they scan and vmap.
+"""Levenberg-Marquardt for sums of squares: it is handed the residuals and tries points of its own.
 
-L-BFGS has its trial points evaluated outside and accepts or rejects them; Levenberg-Marquardt is handed the residuals and
-tries points of its own. A trial whose value or derivatives are not finite is rejected like one that is too high.
+A trial whose value or derivatives are not finite is rejected like one that is too high.
 """
 
 from __future__ import annotations
@@ -14,9 +13,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float
 
 from jaxsphere.checks import require_count
-from tuning.optimisers import Optimiser
+from tuning.optimisers.optimiser import Optimiser
 
 # Dampings tried side by side, as multiples of the last one that was best; what it grows by when all of them fail.
 FACTORS = (0.25, 1.0, 4.0)
@@ -61,16 +61,21 @@ class _Secant(NamedTuple):
 def levenberg_marquardt(
     damping: float = 0.1, longest: float = 0.5, floor: float = 1e-2, rounds: int = 3, factors: tuple[float, ...] = FACTORS
 ) -> Optimiser:
-    """Levenberg-Marquardt of a sum of squares with Marquardt's scaling, on one Jacobian for several steps.
+    """Return Levenberg-Marquardt of a sum of squares with Marquardt's scaling, on one Jacobian for several steps.
 
     An update takes `rounds` steps. In each it tries the damping times every one of `factors` side by side, keeps the best
     point if it is lower, and corrects the Jacobian by Broyden's rank-one formula with what the trial has shown: a step
     costs len(factors) evaluations of the residuals instead of a Jacobian.
 
     Args:
-        damping: at the start, relative to the diagonal of the Hessian. longest: largest change of any entry in one step.
+        damping: at the start, relative to the diagonal of the Hessian.
+        longest: largest change of any entry in one step.
         floor: least diagonal entry that scales the damping, of the largest: a gain that hardly matters moves slowly.
-        rounds: steps on one Jacobian. factors: increasing. `update` needs a `LeastSquares` at the vector.
+        rounds: steps on one Jacobian.
+        factors: of the damping, increasing.
+
+    Returns:
+        An Optimiser whose `update` needs a `LeastSquares` at the vector.
 
     Raises:
         ValueError: rounds is below one, or factors are not positive and increasing.
@@ -132,114 +137,32 @@ def _damped_step(now: _Secant, damping: Array, longest: float, floor: float) -> 
     return step * jnp.minimum(1.0, longest / jnp.maximum(jnp.max(jnp.abs(step)), longest))
 
 
-class BfgsState(NamedTuple):
-    """The last accepted point with its value and gradient, the pairs (memory, n), and the line search on the way."""
-
-    point: Array
-    value: Array
-    gradient: Array
-    moves: Array
-    changes: Array
-    direction: Array
-    length: Array
-
-
-def lbfgs(memory: int = 8, longest: float = 1.0, decrease: float = 1e-4) -> Optimiser:
-    """Limited-memory BFGS of Nocedal (1980) with a line search by quadratic interpolation, one evaluation per update.
+def linearise(
+    residuals: Callable[[Array], Array], vector: Float[Array, " n"], largest_residual_gradient: float = math.inf
+) -> LeastSquares:
+    """Return the sum of the squares of residuals with its Jacobian by forward mode.
 
     Args:
-        memory: pairs kept. longest: largest change of any entry in one step. decrease: of Armijo's condition.
-        `update` needs the value and the gradient of the trial point. Pairs without positive curvature are left out.
-    """
-
-    def init(vector: Array) -> BfgsState:
-        zero, pairs = jnp.zeros_like(vector), jnp.zeros((memory, vector.shape[0]))
-        return BfgsState(vector, jnp.full((), jnp.inf), zero, pairs, pairs, zero, jnp.ones(()))
-
-    def update(seen: tuple[Array, Array], state: BfgsState, vector: Array) -> tuple[Array, BfgsState]:
-        value, gradient = seen
-        first = jnp.isinf(state.value)
-        usable = jnp.isfinite(value) & jnp.all(jnp.isfinite(gradient))
-        slope = jnp.sum(state.gradient * state.direction)
-        enough = value <= state.value + decrease * state.length * slope
-        better = usable & (first | enough)
-
-        move, change = vector - state.point, gradient - state.gradient
-        curved = better & ~first & (jnp.sum(move * change) > 1e-12 * jnp.sum(move * move))
-        moves = jnp.where(curved, _push(state.moves, move), state.moves)
-        changes = jnp.where(curved, _push(state.changes, change), state.changes)
-        direction = _two_loops(gradient, moves, changes)
-        norm = jnp.max(jnp.abs(direction))
-        # Before any curvature is known the first step has unit length at most.
-        reach = jnp.where(jnp.any(moves != 0.0), longest, jnp.minimum(longest, 0.1))
-        direction = direction * jnp.minimum(1.0, reach / jnp.maximum(norm, reach))
-
-        safe = jnp.where(usable, value, state.value - slope * state.length)
-        bend = safe - state.value - slope * state.length
-        minimum = -0.5 * slope * state.length**2 / jnp.maximum(bend, 1e-300)
-        shorter = jnp.clip(jnp.where(usable, minimum, 0.0), 0.1 * state.length, 0.5 * state.length)
-
-        after = BfgsState(
-            point=jnp.where(better, vector, state.point),
-            value=jnp.where(better, value, state.value),
-            gradient=jnp.where(better, gradient, state.gradient),
-            moves=moves,
-            changes=changes,
-            direction=jnp.where(better, direction, state.direction),
-            length=jnp.where(better, 1.0, shorter),
-        )
-        return after.point + after.length * after.direction, after
-
-    return Optimiser(init, update, needs="value")
-
-
-def _push(rows: Array, row: Array) -> Array:
-    return jnp.concatenate([rows[1:], row[None]])
-
-
-def _two_loops(gradient: Array, moves: Array, changes: Array) -> Array:
-    """Minus the inverse Hessian of the pairs (newest last) times the gradient; rows of zeros count for nothing."""
-    products = jnp.sum(moves * changes, axis=1)
-    kept = products > 0.0
-    inverse = jnp.where(kept, 1.0 / jnp.where(kept, products, 1.0), 0.0)
-
-    def back(q: Array, pair: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        s, y, rho = pair
-        share = rho * jnp.sum(s * q)
-        return q - share * y, share
-
-    q, shares = jax.lax.scan(back, gradient, (moves, changes, inverse), reverse=True)
-    newest = jnp.sum(changes[-1] * changes[-1])
-    q = q * jnp.where(kept[-1], products[-1] / jnp.where(newest > 0.0, newest, 1.0), 1.0)
-
-    def forth(r: Array, pair: tuple[Array, Array, Array, Array]) -> tuple[Array, None]:
-        s, y, rho, share = pair
-        return r + s * (share - rho * jnp.sum(y * r)), None
-
-    r, _ = jax.lax.scan(forth, q, (moves, changes, inverse, shares))
-    return -r
-
-
-def linearise(residuals: Callable[[Array], Array], vector: Array, steepest: float = math.inf) -> LeastSquares:
-    """Sum of the squares of `residuals(vector) -> (m,)` with its Jacobian by forward mode.
-
-    steepest: cap on the slope of each residual, relative to its size or to the root mean square of all, whichever is larger.
-    A residual that is steeper says nothing at the distance of a step: chaos would drown what the others say. Gradient and
-    Jacobian are those of the capped slopes, the value is exact.
+        residuals: vector (n,) -> (m,).
+        vector: where.
+        largest_residual_gradient: relative to the residual or to the root mean square of all, whichever is larger. Larger
+            ones are clipped, the value is not: in chaotic regimes they are unreliable.
     """
 
     def push(direction: Array) -> tuple[Array, Array]:
         return jax.jvp(residuals, (vector,), (direction,))
 
     r, jacobian = jax.vmap(push, out_axes=(None, 0))(jnp.eye(vector.shape[0], dtype=vector.dtype))
-    if steepest < math.inf:
-        most = steepest * jnp.maximum(jnp.abs(r), jnp.sqrt(jnp.mean(r * r)))
+    if largest_residual_gradient < math.inf:
+        most = largest_residual_gradient * jnp.maximum(jnp.abs(r), jnp.sqrt(jnp.mean(r * r)))
         slope = jnp.sqrt(jnp.sum(jacobian * jacobian, axis=0))
         jacobian = jacobian * jnp.where(slope > most, most / jnp.where(slope > most, slope, 1.0), 1.0)[None, :]
     return LeastSquares(jnp.sum(r * r), 2.0 * jacobian @ r, r, jacobian, residuals)
 
 
-def quadratic(residuals: Callable[[Array], Array], vector: Array, steepest: float = math.inf) -> Quadratic:
-    """Value, gradient and Gauss-Newton Hessian of the sum of squares of `residuals(vector) -> (m,)`; see `linearise`."""
-    seen = linearise(residuals, vector, steepest)
+def quadratic(
+    residuals: Callable[[Array], Array], vector: Float[Array, " n"], largest_residual_gradient: float = math.inf
+) -> Quadratic:
+    """Return value, gradient and Gauss-Newton Hessian of a sum of squares; arguments as in `linearise`."""
+    seen = linearise(residuals, vector, largest_residual_gradient)
     return Quadratic(seen.value, seen.gradient, 2.0 * seen.jacobian @ seen.jacobian.T)
