@@ -48,12 +48,16 @@ _TORQUE_RESERVE = 0.98
 class Outcome(NamedTuple):
     """How one climb ended."""
 
+    UNITS = {"seconds": "s"}  # noqa: RUF012
+
     status: Array  # a Status code; OK when it settled
     seconds: Array  # simulated until that was decided, s
 
 
 class SteepestSlope(NamedTuple):
     """What a search for the steepest slope found; every entry a scalar per lane."""
+
+    UNITS = {"value": "rad", "lower": "rad", "upper": "rad", "seconds": "s"}  # noqa: RUF012
 
     value: Array  # rad, middle of the bracket; NaN where even the flat fails
     lower: Array  # rad, steepest slope seen to succeed; NaN where none was
