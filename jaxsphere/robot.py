@@ -1,9 +1,5 @@
 """The robot: a shell, a gimbal and a pendulum, as one frozen pytree, and the published robots by name.
 
-    shell_mass         m    kg        gimbal_mass        m_i   kg        pendulum_mass     m_p   kg
-    shell_inertia      I_s  kg m2     gimbal_inertia     I_i   kg m2     pendulum_length   l     m
-    shell_radius       r    m         gravity            g     m/s2
-
 Both inertias hold the three principal moments (x, y, z) about the centre of the sphere; z is the spin axis, the one about
 which the robot rolls straight ahead, so the plane uses the z entries. The pendulum's bob is a point mass.
 """
@@ -11,7 +7,7 @@ which the robot rolls straight ahead, so the plane uses the z entries. The pendu
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
@@ -21,6 +17,7 @@ from jax import Array
 
 from jaxsphere.checks import is_concrete, require_scalar
 from jaxsphere.numerics import Real
+from jaxsphere.units import quantity
 
 
 def _moments(*values: float) -> Callable[[], Any]:
@@ -37,14 +34,14 @@ class Robot:
     gives one shell and one gimbal moment; the other two of each are taken equal here, an assumption of this package.
     """
 
-    shell_mass: Real = 1.2
-    gimbal_mass: Real = 1.85
-    pendulum_mass: Real = 2.05
-    shell_inertia: Array = field(default_factory=_moments(0.018, 0.018, 0.018))
-    gimbal_inertia: Array = field(default_factory=_moments(0.0017, 0.0017, 0.0017))
-    pendulum_length: Real = 0.12
-    shell_radius: Real = 0.15
-    gravity: Real = 9.81
+    shell_mass: Real = quantity(1.2, "kg", "m, mass of the shell")
+    gimbal_mass: Real = quantity(1.85, "kg", "m_i, mass of the gimbal")
+    pendulum_mass: Real = quantity(2.05, "kg", "m_p, mass of the pendulum")
+    shell_inertia: Array = quantity(_moments(0.018, 0.018, 0.018), "kg m2", "I_s, principal moments x, y, z (spin axis)")
+    gimbal_inertia: Array = quantity(_moments(0.0017, 0.0017, 0.0017), "kg m2", "I_i, principal moments x, y, z")
+    pendulum_length: Real = quantity(0.12, "m", "l, from the centre to the bob")
+    shell_radius: Real = quantity(0.15, "m", "r, radius of the shell")
+    gravity: Real = quantity(9.81, "m/s2", "g")
 
 
 def set_a() -> Robot:

@@ -1,30 +1,45 @@
 """Units of named numbers, read from where the numbers are declared.
 
-A dataclass declares the unit of a field in its metadata, `field(metadata={"unit": "kg"})`; a NamedTuple in a class attribute,
-`UNITS = {"settling_time": "s"}`.
+A dataclass declares the unit of a field in its metadata, `quantity(1.2, "kg", "mass of the shell")`; a NamedTuple in a class
+attribute, `UNITS = {"settling_time": "s"}`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from dataclasses import field, fields
 from typing import Any
 
-# Until every class declares its own.
-FALLBACK = {
-    **dict.fromkeys(("slope", "travel", "z_u", "heading"), "rad"),
-    **dict.fromkeys(("shell_mass", "gimbal_mass", "pendulum_mass"), "kg"),
-    **dict.fromkeys(("shell_inertia", "gimbal_inertia", "pendulum_inertia"), "kg m2"),
-    **dict.fromkeys(("pendulum_length", "shell_radius", "tolerance"), "m"),
-    **dict.fromkeys(("c1", "c2", "k", "k2", "k4", "k_d"), "1/s"),
-    **dict.fromkeys(("k1", "k3", "k_p"), "1/s2"),
-    **dict.fromkeys(("phi_z", "k_i", "smoothing"), "rad/s"),
-    **dict.fromkeys(("settling_time", "end_time"), "s"),
-    **dict.fromkeys(("peak_swing", "lowest_swing", "highest_swing", "peak_lean"), "rad"),
-    **{"peak_torque": "N m", "chatter": "N m", "effort": "(N m)2 s", "rms_error": "m", "late_error": "m"},
-    **{"eta": "rad/s2", "gravity": "m/s2", "a_max": "m/s2", "speed": "m/s", "torque_limit": "N m", "settled_after": "s"},
-    "itae": "s2",
-}
+# Name of a field -> (unit, help), of the classes that `declare` has seen.
+_KNOWN: dict[str, tuple[str, str]] = {}
+
+
+def quantity(default: Any, unit: str, words: str) -> Any:
+    """Return a dataclass field with a default (or a function that makes one), a unit and a help text."""
+    metadata = {"unit": unit, "help": words}
+    return field(default_factory=default, metadata=metadata) if callable(default) else field(default=default, metadata=metadata)
+
+
+def declare(*classes: type, **more: tuple[str, str]) -> None:
+    """Make the units and help texts of the fields of `classes` known by name; the first class that has a name counts.
+
+    Args:
+        classes: dataclasses and NamedTuples.
+        more: name -> (unit, help) of what is a field of none.
+    """
+    for one in classes:
+        found = {name: (unit, "") for name, unit in getattr(one, "UNITS", {}).items()}
+        if dataclasses.is_dataclass(one):
+            found = {leaf.name: (leaf.metadata.get("unit", ""), leaf.metadata.get("help", "")) for leaf in fields(one)}
+        for name, told in (found | more).items():
+            if any(told):
+                _KNOWN.setdefault(name, told)
+
+
+def described(name: str) -> tuple[str, str]:
+    """Return unit and help text of a field of the library's classes, ("", "") where none has that name."""
+    return _KNOWN.get(name, ("", ""))
 
 
 def declared_units(tree: Any, prefix: str = "") -> dict[str, str]:
@@ -48,13 +63,13 @@ def unit_of(name: str, declared: Mapping[str, str] | None = None) -> str:
     parts = name.split(".")
     while len(parts) > 1 and parts[-1].isdigit():
         parts.pop()
-    return (declared or {}).get(".".join(parts)) or FALLBACK.get(parts[-1], "")
+    return (declared or {}).get(".".join(parts)) or described(parts[-1])[0]
 
 
 def _fields(tree: Any) -> list[tuple[str, Any, str]]:
     """(name, value, unit) of the parts of a container."""
     if dataclasses.is_dataclass(tree) and not isinstance(tree, type):
-        return [(field.name, getattr(tree, field.name), field.metadata.get("unit", "")) for field in dataclasses.fields(tree)]
+        return [(leaf.name, getattr(tree, leaf.name), leaf.metadata.get("unit", "")) for leaf in fields(tree)]
     if isinstance(tree, tuple) and hasattr(tree, "_asdict"):
         units = getattr(tree, "UNITS", {})
         return [(name, value, units.get(name, "")) for name, value in tree._asdict().items()]  # type: ignore[attr-defined]

@@ -9,6 +9,7 @@ import pytest
 
 import jaxsphere as js
 from jaxsphere import sliding_mode
+from jaxsphere.controllers import printed
 
 TABLE_3 = js.SlidingModeGains()
 SEEKING = js.SlidingModeGains(0.72, 3.3, 0.76, 9.0, 6.0, 10.0, 0.05)
@@ -35,16 +36,16 @@ def test_surfaces_by_hand(convention, sign, slope, random_states, rng):
     np.testing.assert_allclose(now.correction_rate, -0.05 * np.tanh(s1), rtol=1e-12)
 
 
-@pytest.mark.parametrize("convention", sliding_mode.CONVENTIONS)
-def test_slope_of_the_asked_swing_is_its_derivative(convention, rng):
+@pytest.mark.parametrize("gains", [TABLE_3, printed.sliding_mode_gains(TABLE_3)], ids=printed.CONVENTIONS)
+def test_slope_of_the_asked_swing_is_its_derivative(gains, rng):
     s1 = rng.normal(0.0, 10.0, 50)
-    slope = jax.vmap(jax.grad(lambda s: sliding_mode.asked_swing(TABLE_3, s, convention)))(s1)
-    np.testing.assert_allclose(sliding_mode.asked_swing_slope(TABLE_3, s1, convention), slope, rtol=1e-9, atol=1e-15)
+    slope = jax.vmap(jax.grad(lambda s: sliding_mode.asked_swing(gains, s)))(s1)
+    np.testing.assert_allclose(sliding_mode.asked_swing_slope(gains, s1), slope, rtol=1e-9, atol=1e-15)
 
 
 @pytest.mark.parametrize("gains", [TABLE_3, SEEKING])
 @pytest.mark.parametrize("smoothing", [SMOOTHING, 0.0])
-@pytest.mark.parametrize("convention", sliding_mode.CONVENTIONS)
+@pytest.mark.parametrize("convention", printed.CONVENTIONS)
 def test_law_prescribes_the_rate_of_s2_through_the_dynamics(robot, slope, gains, smoothing, convention, random_states, rng):
     states, corrections = random_states(200), rng.uniform(-0.3, 0.3, 200)
     s2, rate, scale = surface_rate(robot, slope, gains, states, corrections, smoothing, convention)
@@ -147,8 +148,6 @@ def test_other_gain_faults():
         sliding_mode.check_gains(replace(TABLE_3, k_i=-0.1))
     with pytest.raises(TypeError, match=r"gains = \{.* are no SlidingModeGains"):
         sliding_mode.check_gains({"c1": 1.0})
-    with pytest.raises(ValueError, match=r"convention = 'paper' .* corrected, printed"):
-        sliding_mode.law(js.Robot(), 0.1, TABLE_3, TARGET, 0.0, "paper")
 
 
 def polynomial(robot, slope, gains, seeking):
@@ -173,7 +172,8 @@ def signals_of(robot, slope, gains, state, correction, smoothing=SMOOTHING, conv
     """Signals of the law at one state (4,)."""
     lumped, equilibrium = js.planar.lump(robot, slope), js.equilibrium_swing(robot, slope)
     state = tuple(jnp.asarray(state))
-    return sliding_mode.signals(lumped, equilibrium, gains, state, jnp.asarray(correction), TARGET, smoothing, convention)
+    gains = printed.sliding_mode_gains(gains) if convention == "printed" else gains
+    return sliding_mode.signals(lumped, equilibrium, gains, state, jnp.asarray(correction), TARGET, smoothing)
 
 
 def evaluate(robot, slope, gains, states, corrections, convention):

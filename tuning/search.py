@@ -14,10 +14,10 @@ from jax import Array
 from jaxtyping import Float
 from tqdm.auto import tqdm
 
+import jaxsphere as js
 from jaxsphere.checks import require_choice, require_count, require_scalar
 from jaxsphere.identity import described, fingerprint_of
 from jaxsphere.simulation.closed_loop import where
-from jaxsphere.simulation.lanes import over_lanes
 from tuning import checkpoint as checkpoints
 from tuning import starts as drawn
 from tuning.objectives.objective import Members, Objective, members_of
@@ -206,7 +206,7 @@ def _bests(search: _Search, batch: _Start) -> Array:
         seen = search.judge(stage, search.chosen.to_gains(vector))
         return jnp.sum(seen * seen) if search.rule.needs == "residuals" else seen
 
-    return over_lanes(value)(batch.best_vector)
+    return js.batch(value)(batch.best_vector)
 
 
 def _step(search: _Search, start: _Start, _: None) -> tuple[_Start, tuple[Array, Array]]:
@@ -231,7 +231,7 @@ def _iterate(
     search: _Search, batch: _Start, history: dict[str, np.ndarray], chunk: int, progress: bool, save: Callable[..., Any] | None
 ) -> tuple[_Start, dict[str, np.ndarray], str]:
     """Run all iterations that are left; Ctrl-C ends them once something is known."""
-    run = over_lanes(lambda start: jax.lax.scan(partial(_step, search), start, None, length=chunk))
+    run = js.batch(lambda start: jax.lax.scan(partial(_step, search), start, None, length=chunk))
     first, last = len(history["objective"]), search.iterations
     with tqdm(total=last, desc="tuning", unit="step", disable=not progress, initial=first) as bar:
         try:
@@ -258,7 +258,7 @@ def _select(search: _Search, batch: _Start, history: dict[str, np.ndarray], stat
     answers, bests = jax.vmap(search.chosen.to_gains)(batch.best_vector), np.asarray(batch.best)
     last = search.members.stage(search.members.stages - 1)
     judge = members_of(last).limits
-    limits = None if judge is None else jax.tree.map(np.asarray, over_lanes(judge)(answers))
+    limits = None if judge is None else jax.tree.map(np.asarray, js.batch(judge)(answers))
     feasible = np.ones(bests.shape, bool) if limits is None else np.asarray(limits.feasible)
     if status == "finished" and not np.any(history["gradient_norm"] > 0.0):
         status = "zero gradient"

@@ -1,7 +1,7 @@
 """Options of the command line, made from the library's own dataclasses and functions.
 
 Every field of a dataclass, or parameter of a function, becomes an option of the same name, kind and default. Its help is
-that of the field's metadata ({"unit": ..., "help": ...}), or else that of `WORDS`. Angles of `ANGLES` are typed in degrees,
+that of its metadata, or else that of the library's field of that name. Angles of `ANGLES` are typed in degrees,
 under their name with _deg.
 """
 
@@ -21,6 +21,7 @@ import tyro
 
 import jaxsphere as js
 from jaxsphere.checks import require_scalar
+from jaxsphere.units import described
 
 ANGLES = ("slope", "slopes", "swing", "swing_limit", "lean_limit", "heading")
 # Of parameters that the library asks for.
@@ -28,49 +29,6 @@ DEFAULTS = {"slope": math.radians(10.0)}
 # Groups whose options are typed without the group's name in front.
 FLAT = ("gains", "motion", "tuning", "map")
 
-# Unit and help of what has no metadata.
-WORDS: dict[str, tuple[str, str]] = {
-    "shell_mass": ("kg", "Mass of the shell"),
-    "gimbal_mass": ("kg", "Mass of the gimbal"),
-    "pendulum_mass": ("kg", "Mass of the pendulum"),
-    "shell_inertia": ("kg m2", "Principal moments x, y, z; z is the spin axis"),
-    "gimbal_inertia": ("kg m2", "Principal moments x, y, z"),
-    "pendulum_inertia": ("kg m2", "Principal moments x, y, z"),
-    "pendulum_length": ("m", "From the centre to the bob"),
-    "shell_radius": ("m", "Radius of the shell"),
-    "gravity": ("m/s2", "Gravity"),
-    "c1": ("1/s", "Slope of the sphere's sliding surface"),
-    "c2": ("1/s", "Slope of the pendulum's sliding surface"),
-    "z_u": ("rad", "Largest swing asked for beyond equilibrium, below 1"),
-    "phi_z": ("rad/s", "Width over which it is reached"),
-    "eta": ("rad/s2", "Switching gain"),
-    "k": ("1/s", "Proportional reaching gain"),
-    "k_i": ("rad/s", "Equilibrium-seeking gain; 0 is the paper's law"),
-    "k1": ("1/s2", "On the error of x"),
-    "k2": ("1/s", "On its rate"),
-    "k3": ("1/s2", "On the error of y"),
-    "k4": ("1/s", "On its rate"),
-    "k_p": ("1/s2", "Of both joints"),
-    "k_d": ("1/s", "Of both joints"),
-    "a_max": ("m/s2", "Largest acceleration asked for"),
-    "slope": ("rad", "Slope, positive up-slope"),
-    "travel": ("rad", "Angle that the sphere should roll"),
-    "duration": ("s", "Simulated time"),
-    "dt": ("s", "Time step"),
-    "smoothing": ("rad/s", "Width of the smoothed sign; 0 for the hard sign of a sampled controller"),
-    "torque_limit": ("N m", "Limit of the motor"),
-    "control_period": ("s", "Sampling period of the controller, a multiple of dt; continuous if not given"),
-    "initial_state": ("rad, rad/s", "alpha, alpha', phi, phi'; rest at equilibrium if not given"),
-    "sensor_bias": ("rad, rad/s", "Added to the alpha, alpha', phi, phi' that the controller sees"),
-    "convention": ("", "Sign of z in (8): corrected or printed"),
-    "method": ("", "rk4, dopri5 or semi_implicit_euler"),
-    "speed": ("m/s", "Along a line or a circle"),
-    "realisation": ("", "pendulum_attitude, exact, pseudo_inverse or ideal"),
-    "heading": ("rad", "Of the line and of the robot at the start, from up-slope"),
-    "start": ("m", "Where the robot rests at first when it follows a line"),
-    "tolerance": ("m", "Largest error that counts as following"),
-    "settled_after": ("s", "From when on errors must be below the tolerance"),
-}
 # Entries of arrays that are None by default.
 LENGTHS = {"initial_state": 4, "sensor_bias": 4, "disturbance": 4}
 
@@ -106,7 +64,7 @@ def options(
             if key in without or key in entries or f"{key}_deg" in entries:
                 continue
             default = DEFAULTS.get(key, parameter.default) if defaults is None else getattr(defaults, key)
-            unit, words = WORDS.get(key, ("", ""))
+            unit, words = described(key)
             unit, words = metadata.get(key, {}).get("unit", unit), metadata.get(key, {}).get("help", words)
             kind = _kind(key, hints[key], default)
             if isinstance(default, np.ndarray):

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import jaxsphere as js
 import tuning
 from jaxsphere.checks import require_choice, require_scalar
+from jaxsphere.units import quantity as setting
 
 TRAINING_SPEEDS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
 VALIDATION_SPEEDS = (0.24, 0.33, 0.43, 0.53, 0.68, 0.78, 0.88, 0.97)
 HELD_OUT_SPEEDS = (0.22, 0.25, 0.28, 0.35, 0.38, 0.45, 0.55, 0.58, 0.65, 0.7, 0.75, 0.85, 0.9, 0.95)
-
-
-def setting(default: Any, unit: str, words: str) -> Any:
-    """Return a dataclass field with its unit and its help."""
-    return field(default=default, metadata={"unit": unit, "help": words})
 
 
 @dataclass(frozen=True)
@@ -149,6 +145,6 @@ class Map:
     tolerance: float = setting(1e-3, "rad", "Width of the bracket around every bound")
     refine: bool = setting(True, "", "Outcomes: simulate only where neighbours disagree")
     coarse: int | None = setting(16, "", "Outcomes: nodes between the first ones looked at")
-    slope: float = setting(math.radians(10.0), "rad", "Outcomes: slope unless it is an axis")
+    duration: float = setting(60.0, "s", "Simulated time after which a climb is too slow")
     dt: float | None = setting(None, "s", "Time step; the largest that is stable if not given")
     dtype: str = setting("float32", "", "float32 or float64, of the rollouts")

@@ -9,7 +9,7 @@
 
 Differs from the paper:
     (8)   is printed with +z_U. The sphere accelerates up-slope when the pendulum swings up-slope, so with s1 < 0 a positive
-          z is needed; the printed sign is positive feedback and the robot rolls away. `convention="printed"` keeps it.
+          z is needed; the printed sign is positive feedback and the robot rolls away. `printed` keeps it.
     (15)  has sgn(s2); tanh(s2 / epsilon) is used for a smoothing width epsilon > 0, the hard sign for epsilon = 0.
     (7)   trusts phi_0 of a known robot. `k_i` > 0 adds zeta, zeta' = -k_i tanh(s1 / 1 rad/s), which settles on the target
           with a robot that is not the modelled one.
@@ -25,14 +25,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.checks import require_choice, require_scalar
+from jaxsphere.checks import require_scalar
 from jaxsphere.models import planar
 from jaxsphere.models.equilibrium import can_hold, equilibrium_swing
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot
 from jaxsphere.status import ControllerOutput, Status, code
-
-CONVENTIONS = ("corrected", "printed")
+from jaxsphere.units import quantity
 
 # The correction zeta stops here (rad). Uncertain masses of +-20 % move phi_0 of set A by about 0.1 rad at 10 degrees.
 CORRECTION_LIMIT = 0.35
@@ -41,19 +40,15 @@ CORRECTION_LIMIT = 0.35
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class SlidingModeGains:
-    """Gains of the decoupled sliding-mode controller; the defaults are Table 3.
+    """Gains of the decoupled sliding-mode controller; the defaults are Table 3."""
 
-    c1 (1/s), c2 (1/s): slopes of the surfaces. z_u (rad, 0..1): largest swing asked for. phi_z (rad/s): width over which it
-    is reached. eta (rad/s2), k (1/s): switching gains. k_i (rad/s): equilibrium seeking, 0 for the paper's law.
-    """
-
-    c1: Real = 0.5501
-    c2: Real = 2.3272
-    z_u: Real = 0.9626
-    phi_z: Real = 7.4822
-    eta: Real = 2.7688
-    k: Real = 0.6769
-    k_i: Real = 0.0
+    c1: Real = quantity(0.5501, "1/s", "slope of the sphere's sliding surface")
+    c2: Real = quantity(2.3272, "1/s", "slope of the pendulum's sliding surface")
+    z_u: Real = quantity(0.9626, "rad", "largest swing asked for beyond equilibrium, between 0 and 1")
+    phi_z: Real = quantity(7.4822, "rad/s", "width over which it is reached")
+    eta: Real = quantity(2.7688, "rad/s2", "switching gain")
+    k: Real = quantity(0.6769, "1/s", "proportional reaching gain")
+    k_i: Real = quantity(0.0, "rad/s", "equilibrium-seeking gain; 0 is the paper's law")
 
 
 class Signals(NamedTuple):
@@ -85,25 +80,21 @@ def first_surface(gains: SlidingModeGains, error: Array, rate: Array) -> Array:
     return gains.c1 * error + rate
 
 
-def asked_swing(gains: SlidingModeGains, s1: Array, convention: str = "corrected") -> Array:
+def asked_swing(gains: SlidingModeGains, s1: Array) -> Array:
     """Intermediate variable z (rad) that couples the surfaces: the swing asked for beyond phi_0, Eq. (8).
 
-    Differs from the paper: z = -z_U tanh(s1 / Phi_z), unless `convention` is "printed".
+    Differs from the paper: z = -z_U tanh(s1 / Phi_z).
     """
-    return _amplitude(gains, convention) * jnp.tanh(s1 / gains.phi_z)
+    return -gains.z_u * jnp.tanh(s1 / gains.phi_z)
 
 
-def asked_swing_slope(gains: SlidingModeGains, s1: Array, convention: str = "corrected") -> Array:
+def asked_swing_slope(gains: SlidingModeGains, s1: Array) -> Array:
     """Slope dz/ds1 of the swing asked for, s: z' = slope s1', called alpha(s1, Phi_z, z_U) in Eq. (10).
 
-    Differs from the paper: negative, like z, unless `convention` is "printed".
+    Differs from the paper: negative, like z.
     """
     saturation = jnp.tanh(s1 / gains.phi_z)
-    return _amplitude(gains, convention) / gains.phi_z * (1.0 - saturation * saturation)
-
-
-def _amplitude(gains: SlidingModeGains, convention: str) -> Real:
-    return gains.z_u if convention == "printed" else -gains.z_u
+    return -gains.z_u / gains.phi_z * (1.0 - saturation * saturation)
 
 
 def second_surface(gains: SlidingModeGains, deviation: Array, rate: Array) -> Array:
@@ -143,7 +134,6 @@ def signals(
     correction: Array,
     target: Real,
     smoothing: Real,
-    convention: str = "corrected",
 ) -> Signals:
     """Evaluate the law at one state: surfaces, s2' = drift + decoupling u of (11), and u_eq from s2' = 0, Eq. (12).
 
@@ -154,8 +144,8 @@ def signals(
     alpha, alpha_rate, swing, swing_rate = state
     form = planar.canonical_form(lumped, state)
     s1 = first_surface(gains, alpha - target, alpha_rate)
-    z = asked_swing(gains, s1, convention)
-    z_slope = asked_swing_slope(gains, s1, convention)
+    z = asked_swing(gains, s1)
+    z_slope = asked_swing_slope(gains, s1)
     s2 = second_surface(gains, swing - equilibrium - z - correction, swing_rate)
     correction_rate = _correction_rate(gains, s1, correction)
     s1_drift = gains.c1 * alpha_rate + form.f1
@@ -186,7 +176,6 @@ def law(
     gains: SlidingModeGains,
     target: Real,
     smoothing: Real,
-    convention: str = "corrected",
 ) -> Callable[[Array, planar.State, tuple[Array, ...]], ControllerOutput]:
     """Build the control law (time, state, memory) -> ControllerOutput with torque u = u_eq + u_sw, Eq. (13).
 
@@ -195,9 +184,8 @@ def law(
 
     Args:
         robot: the robot that the controller believes in. slope: rad. gains: the gains. target: alpha_d, rad. smoothing:
-        width epsilon of the switching term, rad/s, 0 for the hard sign. convention: "corrected" or "printed".
+        width epsilon of the switching term, rad/s, 0 for the hard sign.
     """
-    require_choice("convention", convention, CONVENTIONS)
     lumped = planar.lump(robot, slope)
     equilibrium = equilibrium_swing(robot, slope)
     holdable = can_hold(robot, slope)
@@ -205,7 +193,7 @@ def law(
     def control(time: Array, state: planar.State, memory: tuple[Array, ...]) -> ControllerOutput:
         del time
         (correction,) = memory
-        now = signals(lumped, equilibrium, gains, state, correction, target, smoothing, convention)
+        now = signals(lumped, equilibrium, gains, state, correction, target, smoothing)
         status = jnp.where(now.decoupling > 0.0, code(Status.OK), code(Status.SINGULAR_DECOUPLING))
         status = jnp.where(holdable, status, code(Status.INFEASIBLE_LEAN))
         return ControllerOutput((now.equivalent + now.switching,), (now.correction_rate,), status)

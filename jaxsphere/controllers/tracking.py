@@ -35,6 +35,7 @@ from jaxsphere.numerics import Real, sincos
 from jaxsphere.numerics.linear_algebra import dot, solve_pair
 from jaxsphere.robot import Robot
 from jaxsphere.status import ControllerOutput, Status, code
+from jaxsphere.units import quantity
 
 REALISATIONS = ("pendulum_attitude", "exact", "pseudo_inverse", "ideal")
 
@@ -44,19 +45,15 @@ _OUTPUT_PAIR, _JOINT_PAIR = (THETA, PHI), (BETA1, BETA2)
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class TrackingGains:
-    """Gains of tracking; the defaults of k1..k4 are Table 4.
+    """Gains of tracking; the defaults of k1..k4 are Table 4. The others belong to "pendulum_attitude"."""
 
-    k1, k3 (1/s2): on the errors of x and y. k2, k4 (1/s): on their rates. The others belong to "pendulum_attitude": k_p (1/s2)
-    and k_d (1/s) of both joints, and a_max (m/s2), the largest demand.
-    """
-
-    k1: Real = 49.0
-    k2: Real = 14.0
-    k3: Real = 49.0
-    k4: Real = 14.0
-    k_p: Real = 900.0
-    k_d: Real = 60.0
-    a_max: Real = 1.0
+    k1: Real = quantity(49.0, "1/s2", "on the error of x")
+    k2: Real = quantity(14.0, "1/s", "on its rate")
+    k3: Real = quantity(49.0, "1/s2", "on the error of y")
+    k4: Real = quantity(14.0, "1/s", "on its rate")
+    k_p: Real = quantity(900.0, "1/s2", "of both joints")
+    k_d: Real = quantity(60.0, "1/s", "of both joints")
+    a_max: Real = quantity(1.0, "m/s2", "largest acceleration asked for")
 
 
 class Signals(NamedTuple):
@@ -125,7 +122,7 @@ def assigned_accelerations(lumped: Lumped, state: State, demand: Pair) -> tuple[
     Differs from the paper: the pseudo-inverse of Phi stands for its inverse; u is zero on psi, beta1 and beta2.
     """
     angles, velocity = momentum.angles_of(state), tuple(state)[7:]
-    _, (drift_x, drift_y) = momentum.center_of(lumped, angles, velocity, "corrected")
+    _, (drift_x, drift_y) = momentum.center_of(lumped, angles, velocity)
     along_x = angles.c_psi * demand[0] + angles.s_psi * demand[1] - drift_x
     along_y = angles.c_psi * demand[1] - angles.s_psi * demand[0] - drift_y
     return along_x / lumped.radius, -along_y / (lumped.radius * angles.s_theta)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
@@ -28,7 +28,7 @@ class Trajectory:
     torque: Float[Array, "T m"]
     memory: Float[Array, "T p"]
     status: Int[Array, ""]
-    end_time: Float[Array, ""]
+    end_time: Float[Array, ""] = field(metadata={"unit": "s"})
     metrics: Any = None
     diagnostics: Any = None
 

@@ -28,6 +28,11 @@ class RegulationMetrics(NamedTuple):
     chatter: Array  # total variation of the torque, N m
     itae: Array  # integral of t |e| / travel, s^2
 
+    UNITS = {  # noqa: RUF012
+        **{"settling_time": "s", "final_error": "rad", "peak_swing": "rad", "lowest_swing": "rad", "highest_swing": "rad"},
+        **{"peak_torque": "N m", "effort": "(N m)2 s", "chatter": "N m", "itae": "s2"},
+    }
+
 
 class _Running(NamedTuple):
     so_far: RegulationMetrics
@@ -71,6 +76,11 @@ class TrackingMetrics(NamedTuple):
     peak_torque: Array  # largest of any torque, N m
     effort: Array  # integral of the sum of the squared torques, (N m)^2 s
     peak_lean: Array  # largest |theta - pi/2|, rad
+
+    UNITS = {  # noqa: RUF012
+        **{"rms_error": "m", "late_error": "m", "final_error": "m"},
+        **{"peak_torque": "N m", "effort": "(N m)2 s", "peak_lean": "rad"},
+    }
 
 
 def tracking(reference: Callable[[Array], tuple[Real, Real]], settled_after: Array) -> Measure:

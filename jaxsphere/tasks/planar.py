@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 
 from jaxsphere.checks import is_concrete, require_choice, require_finite_vector, require_scalar
-from jaxsphere.controllers import sliding_mode
+from jaxsphere.controllers import printed, sliding_mode
 from jaxsphere.controllers.sliding_mode import SlidingModeGains
 from jaxsphere.models import planar
 from jaxsphere.models.equilibrium import can_hold, climbing_bound, equilibrium_swing
@@ -27,12 +27,9 @@ from jaxsphere.status import Status, code
 from jaxsphere.tasks import metrics
 from jaxsphere.tasks.numerics import Numerics
 from jaxsphere.tasks.simulate import simulate
+from jaxsphere.units import quantity
 
 TEN_DEGREES = math.radians(10.0)
-
-
-def _leaf(default: Any, unit: str, words: str) -> Any:
-    return field(default=default, metadata={"unit": unit, "help": words})
 
 
 @jax.tree_util.register_dataclass
@@ -44,16 +41,16 @@ class PlanarTask:
     """
 
     robot: Robot = field(default_factory=Robot, metadata={"help": "that the controller believes in"})
-    slope: Real = _leaf(TEN_DEGREES, "rad", "slope, positive up-slope")
-    travel: Real = _leaf(10.0, "rad", "angle that the sphere should roll")
+    slope: Real = quantity(TEN_DEGREES, "rad", "slope, positive up-slope")
+    travel: Real = quantity(10.0, "rad", "angle that the sphere should roll")
     plant: Robot | None = field(default=None, metadata={"help": "true robot, where it differs from the modelled one"})
-    initial_state: Any = _leaf(None, "rad and rad/s", "alpha, alpha', phi, phi' (4,)")
-    torque_limit: Real | None = _leaf(None, "N m", "motor limit; None for none")
-    smoothing: Real = _leaf(0.02, "rad/s", "width of the smoothed sign; 0 for the hard sign")
-    control_period: Real | None = _leaf(None, "s", "sampling period of the controller, a multiple of dt; None: continuous")
+    initial_state: Any = quantity(None, "", "(4,) alpha, alpha', phi, phi', rad and rad/s; rest at phi_0 if not given")
+    torque_limit: Real | None = quantity(None, "N m", "motor limit; None for none")
+    smoothing: Real = quantity(0.02, "rad/s", "width of the smoothed sign; 0 for the hard sign")
+    control_period: Real | None = quantity(None, "s", "sampling period of the controller, a multiple of dt; None: continuous")
     delayed: Array | bool | None = field(default=None, metadata={"help": "each torque acts one control period later"})
-    sensor_bias: Any = _leaf(None, "rad and rad/s", "added to the state that the controller sees (4,)")
-    disturbance: Any = _leaf(None, "rad and rad/s", "added to the initial state (4,)")
+    sensor_bias: Any = quantity(None, "", "(4,) added to the alpha, alpha', phi, phi' that the controller sees, rad and rad/s")
+    disturbance: Any = quantity(None, "", "(4,) added to the initial state, rad and rad/s")
     convention: str = field(default="corrected", metadata={"static": True, "help": "sign of z in (8): corrected or printed"})
 
     def default_gains(self) -> SlidingModeGains:
@@ -88,7 +85,7 @@ class PlanarTask:
                 require_finite_vector(name, getattr(self, name), 4, entries)
         if self.delayed is not None and self.control_period is None:
             raise ValueError("delayed needs a sampled controller; type control_period=1e-3")
-        require_choice("convention", self.convention, sliding_mode.CONVENTIONS)
+        require_choice("convention", self.convention, printed.CONVENTIONS)
 
     def start(self) -> tuple[State, State]:
         """Initial state (alpha, alpha', phi, phi') and the law's memory zeta."""
@@ -112,11 +109,14 @@ class PlanarTask:
 
     def law(self, gains: SlidingModeGains) -> Law:
         """Sliding-mode law of this task, with the bias of its sensors."""
-        law = sliding_mode.law(self.robot, self.slope, gains, self.target(), self.smoothing, self.convention)
+        law = sliding_mode.law(self.robot, self.slope, self._in_convention(gains), self.target(), self.smoothing)
         if self.sensor_bias is None:
             return law
         bias = self.sensor_bias
         return lambda time, state, memory: law(time, tuple(x + b for x, b in zip(state, bias, strict=True)), memory)
+
+    def _in_convention(self, gains: SlidingModeGains) -> SlidingModeGains:
+        return printed.sliding_mode_gains(gains) if self.convention == "printed" else gains
 
     def measure(self) -> Measure:
         """Metrics of the move."""
@@ -131,9 +131,8 @@ class PlanarTask:
         if diagnostics:
             lumped, equilibrium = planar.lump(self.robot, self.slope), equilibrium_swing(self.robot, self.slope)
             states, corrections = tuple(trajectory.state.T), trajectory.memory[:, 0]
-            signals = sliding_mode.signals(
-                lumped, equilibrium, gains, states, corrections, self.target(), self.smoothing, self.convention
-            )
+            gains = self._in_convention(gains)
+            signals = sliding_mode.signals(lumped, equilibrium, gains, states, corrections, self.target(), self.smoothing)
         return dataclasses.replace(trajectory, status=status, diagnostics=signals)
 
     def advice(self) -> dict[Status, str]:

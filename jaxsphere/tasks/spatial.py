@@ -27,6 +27,7 @@ from jaxsphere.status import Status, code
 from jaxsphere.tasks import metrics
 from jaxsphere.tasks.numerics import Numerics
 from jaxsphere.tasks.simulate import simulate
+from jaxsphere.units import quantity
 
 
 class Diagnostics(NamedTuple):
@@ -72,17 +73,17 @@ class SpatialTask:
     """
 
     robot: Robot = field(default_factory=Robot, metadata={"help": "that the controller believes in"})
-    slope: Real = field(default=math.radians(10.0), metadata={"unit": "rad", "help": "slope; x points up-slope"})
+    slope: Real = quantity(math.radians(10.0), "rad", "slope; x points up-slope")
     reference: Any = field(default_factory=lambda: references.line(0.5), metadata={"help": "time -> Reference"})
     plant: Robot | None = field(default=None, metadata={"help": "true robot, where it differs from the modelled one"})
-    start_position: Any = field(default=None, metadata={"unit": "m", "help": "of the centre at rest"})
-    heading: Real | None = field(default=None, metadata={"unit": "rad", "help": "of the robot at rest, from up-slope"})
-    initial_state: Any = field(default=None, metadata={"unit": "m, rad and their rates", "help": "(12,), in place of both"})
-    torque_limit: Real | None = field(default=5.0, metadata={"unit": "N m", "help": "of both motors; None for none"})
-    control_period: Real | None = field(default=None, metadata={"unit": "s", "help": "sampling period; None: continuous"})
+    start_position: Any = quantity(None, "m", "of the centre at rest")
+    heading: Real | None = quantity(None, "rad", "of the robot at rest, from up-slope")
+    initial_state: Any = quantity(None, "", "(12,), m, rad and their rates, in place of both")
+    torque_limit: Real | None = quantity(5.0, "N m", "of both motors; None for none")
+    control_period: Real | None = quantity(None, "s", "sampling period; None: continuous")
     delayed: Any = field(default=None, metadata={"help": "each torque acts one control period later"})
-    tolerance: Real = field(default=0.05, metadata={"unit": "m", "help": "error above which the reference is not followed"})
-    settled_after: Real = field(default=5.0, metadata={"unit": "s", "help": "time allowed for settling"})
+    tolerance: Real = quantity(0.05, "m", "error above which the reference is not followed")
+    settled_after: Real = quantity(5.0, "s", "time allowed for settling")
     realisation: str = field(default="pendulum_attitude", metadata={"static": True, "help": "one of tracking.REALISATIONS"})
 
     def default_gains(self) -> TrackingGains:

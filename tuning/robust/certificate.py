@@ -13,7 +13,6 @@ from jax import Array
 
 import jaxsphere as js
 from jaxsphere.checks import require_scalar
-from jaxsphere.simulation.lanes import over_lanes
 from tuning.objectives.task_objective import SCORING, with_settings
 from tuning.robust.scenarios import Uncertainty, drawn_fields, sample
 
@@ -85,7 +84,7 @@ def certify(
         found = js.simulate(replace(task, **fields), gains, numerics, throw=False)
         return found.status, found.metrics
 
-    status, metrics = jax.tree.map(np.asarray, over_lanes(lane)(drawn, numbers))
+    status, metrics = jax.tree.map(np.asarray, js.batch(lane)(drawn, numbers))
     not_settled = status == js.Status.NOT_SETTLED
     early = ~np.isin(status, (int(js.Status.OK), int(js.Status.NOT_SETTLED)))
     if planar:

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+import jaxsphere as js
 from jaxsphere.checks import require_count
-from jaxsphere.simulation.lanes import over_lanes
 from tuning import starts as drawn
 from tuning.objectives.following import FollowLine
 from tuning.objectives.objective import members_of
@@ -91,10 +91,10 @@ def pareto_front(
 
         return jax.lax.scan(iterate, (vector, rule.init(vector)), None, length=iterations)[1]
 
-    score = over_lanes(lambda vector: objective.figures(jax.tree.map(jnp.asarray, chosen.to_gains(vector))))
+    score = js.batch(lambda vector: objective.figures(jax.tree.map(jnp.asarray, chosen.to_gains(vector))))
     vectors = drawn.across(jax.random.key(seed + 1), chosen.to_vector(initial_gains), points)
     # Iterates are candidates too.
-    passed = jnp.reshape(over_lanes(search)(vectors, swings, efforts), (points * iterations, len(chosen.names)))
+    passed = jnp.reshape(js.batch(search)(vectors, swings, efforts), (points * iterations, len(chosen.names)))
     nothing = _Scored(np.zeros((0, len(chosen.names))), np.zeros((0, 3)))
     front = nothing.joined(_Scored(np.asarray(passed), np.asarray(score(passed))))
     if not len(front.vectors):

@@ -1,6 +1,8 @@
 """The spatial robot on a slope: frames and rolling, dynamics, energies and contact forces."""
 
 from jaxsphere.models.spatial.dynamics import (
+    CONVENTIONS,
+    INPUT_COLUMNS,
     SINGULAR_LEAN,
     Affine,
     Lumped,
@@ -10,17 +12,17 @@ from jaxsphere.models.spatial.dynamics import (
     check_spatial_robot,
     derivative,
     derivative_components,
-    input_columns,
     is_singular,
     lump,
     mass_matrix,
     reduced,
     status,
 )
-from jaxsphere.models.spatial.frames import CONVENTIONS, IS_VELOCITY, STATE_NAMES, STATE_UNITS, State
+from jaxsphere.models.spatial.frames import IS_VELOCITY, STATE_NAMES, STATE_UNITS, State
 
 __all__ = [
     "CONVENTIONS",
+    "INPUT_COLUMNS",
     "IS_VELOCITY",
     "STATE_NAMES",
     "STATE_UNITS",
@@ -34,7 +36,6 @@ __all__ = [
     "check_spatial_robot",
     "derivative",
     "derivative_components",
-    "input_columns",
     "is_singular",
     "lump",
     "mass_matrix",

@@ -35,32 +35,28 @@ def contact(robot: Robot, slope: Real, state: State, torque: Sequence[Array]) ->
     Args:
         robot: the robot. slope: rad. state: 12 components. torque: drive and tilt, N m.
     """
-    x, y, normal = _contact_force(robot, slope, state, torque, "corrected")
+    x, y, normal = _contact_force(robot, slope, state, torque)
     pressed = normal > 0.0
     slip_free = jnp.sqrt(dot((x, y), (x, y)))
     coefficient = jnp.where(pressed, slip_free / jnp.where(pressed, normal, 1.0), jnp.inf)
     return Contact(normal, (x, y), coefficient)
 
 
-def constraint_force(
-    robot: Robot, slope: Real, state: State, torque: Sequence[Array], convention: str = "corrected"
-) -> tuple[Array, Array]:
+def constraint_force(robot: Robot, slope: Real, state: State, torque: Sequence[Array]) -> tuple[Array, Array]:
     """Multipliers lambda of M q'' + N = A^T lambda + B tau, N, Eq. (40).
 
     They are the friction on the sphere, because A1 is the identity.
     """
-    x, y, _ = _contact_force(robot, slope, state, torque, convention)
+    x, y, _ = _contact_force(robot, slope, state, torque)
     return x, y
 
 
-def _contact_force(
-    robot: Robot, slope: Real, state: State, torque: Sequence[Array], convention: str
-) -> tuple[Array, Array, Array]:
-    rates = dynamics.derivative_components(dynamics.lump(robot, slope), state, torque, convention)
+def _contact_force(robot: Robot, slope: Real, state: State, torque: Sequence[Array]) -> tuple[Array, Array, Array]:
+    rates = dynamics.derivative_components(dynamics.lump(robot, slope), state, torque)
 
     def momentum(now: State) -> Vector3:
-        x_rate, y_rate = kinematics.rolling_velocity(robot, now, convention)
-        bob = kinematics.pendulum_velocity(robot, now, convention)
+        x_rate, y_rate = kinematics.rolling_velocity(robot, now)
+        bob = kinematics.pendulum_velocity(robot, now)
         central, mass = robot.shell_mass + robot.gimbal_mass, robot.pendulum_mass
         return central * x_rate + mass * bob[0], central * y_rate + mass * bob[1], mass * bob[2]
 

@@ -18,8 +18,7 @@ Differs from the paper:
                 acts with opposite signs, (+1, -1); the printed pair is a torque from outside the robot.
     (27)        takes I_xxs and I_yys in B, which does not spin. That holds for I_xxs = I_yys only: `check_spatial_robot`.
     tau1, tau2  are named tilt and drive in the text; by B it is the other way round.
-`convention="printed"` switches the rolling constraints (22)-(23), hence A(q) and C(q), and B to what is printed, and nothing
-else: moments, (26) and the corrected (31) stay, and gravity acts as it does.
+`printed` has the model with the printed constraints and B.
 """
 
 from __future__ import annotations
@@ -32,13 +31,18 @@ import numpy as np
 from jax import Array
 
 from jaxsphere.checks import is_concrete, require_choice
-from jaxsphere.models.spatial import momentum
-from jaxsphere.models.spatial.frames import CONVENTIONS, STATE_NAMES, State
+from jaxsphere.models.spatial import momentum, printed
+from jaxsphere.models.spatial.frames import STATE_NAMES, State
 from jaxsphere.models.spatial.momentum import Lumped, lump
 from jaxsphere.numerics import Real, evaluate_once, sincos
 from jaxsphere.numerics.linear_algebra import solve_positive_definite, sum_of_products
 from jaxsphere.robot import Robot
 from jaxsphere.status import Status, code
+
+CONVENTIONS = ("corrected", "printed")
+
+# What drive and tilt torque do on (psi, theta, phi, beta1, beta2): the columns of C^T B.
+INPUT_COLUMNS = (0.0, 0.0, 1.0, -1.0, 0.0), (0.0, 0.0, 0.0, 0.0, 1.0)
 
 # Nearer than this to 0 or pi (rad) the lean counts as singular: precession and spin are then about nearly the same axis.
 SINGULAR_LEAN = 0.05
@@ -72,20 +76,11 @@ def check_spatial_robot(robot: Robot, name: str = "robot") -> Robot:
     return robot
 
 
-def input_columns(convention: str = "corrected") -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Columns of C^T B: what drive and tilt torque do on (psi, theta, phi, beta1, beta2).
-
-    Differs from the paper: the drive acts with (+1, -1) on spin and beta1, unless `convention` is "printed" (+1, +1).
-    """
-    reaction = 1.0 if convention == "printed" else -1.0
-    return (0.0, 0.0, 1.0, reaction, 0.0), (0.0, 0.0, 0.0, 0.0, 1.0)
-
-
-def reduced(lumped: Lumped, state: State, convention: str = "corrected") -> Reduced:
+def reduced(lumped: Lumped, state: State) -> Reduced:
     """Assemble M and h of C^T (M C v' + M C' v + N) = C^T B tau by components, Eq. (45)."""
     angles, velocity = momentum.angles_of(state), tuple(state)[7:]
     turn = momentum.slope_in_pendulum(angles)
-    center, drift = momentum.center_of(lumped, angles, velocity, convention)
+    center, drift = momentum.center_of(lumped, angles, velocity)
     rows = momentum.momentum_rows(lumped, angles, turn, center)
     lift = (
         drift[0] + lumped.along_slope * angles.c_psi,
@@ -111,29 +106,26 @@ def reduced(lumped: Lumped, state: State, convention: str = "corrected") -> Redu
     )
 
 
-def accelerations(terms: Reduced, torque: Sequence[Array], convention: str = "corrected") -> tuple[Array, ...]:
+def accelerations(terms: Reduced, torque: Sequence[Array]) -> tuple[Array, ...]:
     """Solve M v' = B tau - h for v' (5), rad/s2."""
-    drive, tilt = input_columns(convention)
+    drive, tilt = INPUT_COLUMNS
     applied = (sum_of_products((a, torque[0]), (b, torque[1])) for a, b in zip(drive, tilt, strict=True))
     right = [force - bias for force, bias in zip(applied, terms.bias, strict=True)]
     (solution,) = solve_positive_definite(terms.inertia, right)
     return solution
 
 
-def affine(lumped: Lumped, state: State, convention: str = "corrected") -> Affine:
+def affine(lumped: Lumped, state: State) -> Affine:
     """Solve the reduced dynamics for v', affine in the torques: f2 and the columns of G of (46)."""
-    terms = reduced(lumped, state, convention)
-    drive, tilt = input_columns(convention)
+    terms = reduced(lumped, state)
     right = [-bias for bias in terms.bias]
-    return Affine(*solve_positive_definite(terms.inertia, right, drive, tilt))
+    return Affine(*solve_positive_definite(terms.inertia, right, *INPUT_COLUMNS))
 
 
-def derivative_components(
-    lumped: Lumped, state: State, torque: Sequence[Array], convention: str = "corrected"
-) -> tuple[Real, ...]:
+def derivative_components(lumped: Lumped, state: State, torque: Sequence[Array]) -> tuple[Real, ...]:
     """Time derivative (q', v') of the state under drive and tilt torque, by components, Eq. (46)."""
-    terms = reduced(lumped, state, convention)
-    return (*terms.center, *state[7:], *accelerations(terms, torque, convention))
+    terms = reduced(lumped, state)
+    return (*terms.center, *state[7:], *accelerations(terms, torque))
 
 
 def derivative(robot: Robot, slope: Real, state: State, torque: Real, convention: str = "corrected") -> Array:
@@ -152,12 +144,14 @@ def derivative(robot: Robot, slope: Real, state: State, torque: Real, convention
     if torque.shape != (2,):
         raise ValueError(f"torque has shape {torque.shape}; type 2 numbers in N m: drive and tilt (or use jax.vmap)")
     require_choice("convention", convention, CONVENTIONS)
-    return jnp.stack(derivative_components(lump(robot, slope), tuple(state), tuple(torque), convention))
+    if convention == "printed":
+        return printed.derivative(robot, slope, state, torque)
+    return jnp.stack(derivative_components(lump(robot, slope), tuple(state), tuple(torque)))
 
 
-def mass_matrix(robot: Robot, state: State, convention: str = "corrected") -> Array:
+def mass_matrix(robot: Robot, state: State) -> Array:
     """Inertia matrix C^T M C of the reduced dynamics, (5, 5), kg m2."""
-    lower = reduced(lump(robot, 0.0), tuple(jnp.asarray(state)), convention).inertia
+    lower = reduced(lump(robot, 0.0), tuple(jnp.asarray(state))).inertia
     return jnp.array([[lower[max(i, j)][min(i, j)] for j in range(5)] for i in range(5)])
 
 

@@ -10,7 +10,7 @@
     q = (x, y, psi, theta, phi, beta1, beta2) and v = (psi', theta', phi', beta1', beta2'); a state is the 12 components (q, v),
     as an array (12,) or any sequence of equally shaped arrays. Vectors are tuples of components.
 
-Differs from the paper (`convention="printed"` keeps what is printed, where it can be evaluated):
+Differs from the paper (`printed` keeps what is printed, where it can be evaluated):
     (20)  is the angular velocity turned by 90 degrees about the normal; it contradicts (19) and (26), which are right.
     (21)  the centre is at +r k from the contact point, not at -r k.
     (22), (23), and with them A(q) in (40) and A2 in (42), mirror rolling: (x', y') for (-y', -x'). They follow from the printed
@@ -37,7 +37,6 @@ STATE_NAMES = (
 )
 STATE_UNITS = (*("m",) * 2, *("rad",) * 5, *("rad/s",) * 5)
 IS_VELOCITY = (*(False,) * 7, *(True,) * 5)
-CONVENTIONS = ("corrected", "printed")
 
 State = Sequence[Array] | Array
 
@@ -54,7 +53,7 @@ def body_rotation(state: State) -> Array:
     )
 
 
-def angular_velocity(state: State, convention: str = "corrected") -> Vector3:
+def angular_velocity(state: State) -> Vector3:
     """Angular velocity of the shell, components in O, rad/s, Eq. (20).
 
     Differs from the paper: the printed vector is this one turned by +90 degrees about the normal.
@@ -64,7 +63,7 @@ def angular_velocity(state: State, convention: str = "corrected") -> Vector3:
     along_x = -theta_rate * s_psi + spin_rate * c_psi * s_theta
     along_y = theta_rate * c_psi + spin_rate * s_psi * s_theta
     along_z = psi_rate + spin_rate * c_theta
-    return (-along_y, along_x, along_z) if convention == "printed" else (along_x, along_y, along_z)
+    return along_x, along_y, along_z
 
 
 def center_velocity(robot: Robot, state: State) -> Vector3:
@@ -76,7 +75,7 @@ def center_velocity(robot: Robot, state: State) -> Vector3:
     return cross(angular_velocity(state), normal)
 
 
-def rolling_velocity(robot: Robot, state: State, convention: str = "corrected") -> tuple[Real, Real]:
+def rolling_velocity(robot: Robot, state: State) -> tuple[Real, Real]:
     """Velocity (x', y') of a sphere that rolls without slipping, m/s, Eq. (22), Eq. (23).
 
     Differs from the paper: the printed pair is (-y', -x') of this one.
@@ -85,7 +84,7 @@ def rolling_velocity(robot: Robot, state: State, convention: str = "corrected") 
     theta_rate, spin_rate = state[8], state[9]
     x_rate = robot.shell_radius * (theta_rate * c_psi + spin_rate * s_psi * s_theta)
     y_rate = robot.shell_radius * (theta_rate * s_psi - spin_rate * c_psi * s_theta)
-    return (-y_rate, -x_rate) if convention == "printed" else (x_rate, y_rate)
+    return x_rate, y_rate
 
 
 def center_position(robot: Robot, state: State) -> Vector3:
@@ -142,20 +141,19 @@ def pendulum_position(robot: Robot, state: State) -> Vector3:
     return x + length * along_x, y + length * along_y, z + length * along_z
 
 
-def pendulum_velocity(robot: Robot, state: State, convention: str = "corrected") -> Vector3:
-    """Velocity of the bob, components in O, m/s."""
-    rates = (*coordinate_rates(robot, state, convention), *(jnp.zeros_like(rate) for rate in state[7:]))
+def pendulum_velocity(robot: Robot, state: State, center: tuple[Real, Real] | None = None) -> Vector3:
+    """Velocity of the bob, components in O, m/s; the centre rolls, or moves with the velocity `center` (m/s)."""
+    center = rolling_velocity(robot, state) if center is None else center
+    rates = (*center, *state[7:], *(jnp.zeros_like(rate) for rate in state[7:]))
     return jax.jvp(lambda *now: pendulum_position(robot, now), tuple(state), rates)[1]
 
 
-def constraint_matrix(robot: Robot, state: State, convention: str = "corrected") -> Array:
+def constraint_matrix(robot: Robot, state: State) -> Array:
     """Matrix A(q) = [I, A2] of the rolling constraints, (2, 7), the one in (40)."""
     (s_psi, c_psi), (s_theta, _) = sincos(state[2]), sincos(state[3])
     zero, one, radius = jnp.zeros_like(s_psi), jnp.ones_like(s_psi), robot.shell_radius
     lean_x, spin_x = radius * c_psi, radius * s_psi * s_theta
     lean_y, spin_y = radius * s_psi, -radius * c_psi * s_theta
-    if convention == "printed":
-        lean_x, spin_x, lean_y, spin_y = -lean_y, -spin_y, -lean_x, -spin_x
     return jnp.array(
         [
             [one, zero, zero, -lean_x, -spin_x, zero, zero],
@@ -164,25 +162,23 @@ def constraint_matrix(robot: Robot, state: State, convention: str = "corrected")
     )
 
 
-def constraint_residual(robot: Robot, state: State, rates: Sequence[Array], convention: str = "corrected") -> Array:
+def constraint_residual(robot: Robot, state: State, rates: Sequence[Array]) -> Array:
     """Slip A(q) q' of coordinate rates q' (7), m/s, (2,); zero when the sphere rolls, Eq. (41)."""
-    return constraint_matrix(robot, state, convention) @ jnp.stack(tuple(rates))
+    return constraint_matrix(robot, state) @ jnp.stack(tuple(rates))
 
 
-def null_space(robot: Robot, state: State, convention: str = "corrected") -> Array:
+def null_space(robot: Robot, state: State) -> Array:
     """Matrix C(q), (7, 5), whose columns span the motions that satisfy the constraints, Eq. (42)."""
-    free = constraint_matrix(robot, state, convention)[:, 2:]
+    free = constraint_matrix(robot, state)[:, 2:]
     return jnp.concatenate([-free, jnp.eye(5, dtype=free.dtype)])
 
 
-def coordinate_rates(robot: Robot, state: State, convention: str = "corrected") -> tuple[Real, ...]:
+def coordinate_rates(robot: Robot, state: State) -> tuple[Real, ...]:
     """Rates q' = C(q) v of the seven coordinates, m/s and rad/s, Eq. (43)."""
-    return (*rolling_velocity(robot, state, convention), *state[7:])
+    return (*rolling_velocity(robot, state), *state[7:])
 
 
-def coordinate_accelerations(
-    robot: Robot, state: State, accelerations: Sequence[Real], convention: str = "corrected"
-) -> tuple[Real, ...]:
+def coordinate_accelerations(robot: Robot, state: State, accelerations: Sequence[Real]) -> tuple[Real, ...]:
     """Second rates q'' = C v' + C' v of the seven coordinates, m/s2 and rad/s2, for given v' (5), Eq. (44)."""
-    rates = (*coordinate_rates(robot, state, convention), *accelerations)
-    return jax.jvp(lambda *now: coordinate_rates(robot, now, convention), tuple(state), rates)[1]
+    rates = (*coordinate_rates(robot, state), *accelerations)
+    return jax.jvp(lambda *now: coordinate_rates(robot, now), tuple(state), rates)[1]

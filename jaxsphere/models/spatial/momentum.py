@@ -2,7 +2,7 @@
 
 Symbols and frames are those of `frames`; P is the frame turned by psi only. Every speed that carries momentum is a
 row J(q) v of `momentum_rows`, in this order: the centre in P (2), the shell's turning in B (3), the gimbal's in C (3), the bob
-in D (3). Rows depend on theta, beta1 and beta2 alone (on psi too with the printed constraints) and list nonzero columns only.
+in D (3). Rows depend on theta, beta1 and beta2 alone and list nonzero columns only.
 """
 
 from __future__ import annotations
@@ -118,14 +118,7 @@ def motion_of(angles: Angles, velocity: Sequence[Real]) -> Motion:
     )
 
 
-def _mirror(angles: Angles) -> tuple[tuple[Real, Real], tuple[Real, Real]]:
-    """The printed constraints as a reflection of the true centre's motion, in P."""
-    s_double = 2.0 * angles.s_psi * angles.c_psi
-    c_double = angles.c_psi * angles.c_psi - angles.s_psi * angles.s_psi
-    return (-s_double, -c_double), (-c_double, s_double)
-
-
-def center_of(lumped: Lumped, angles: Angles, velocity: Sequence[Real], convention: str) -> tuple[tuple[Row, Row], Pair]:
+def center_of(lumped: Lumped, angles: Angles, velocity: Sequence[Real]) -> tuple[tuple[Row, Row], Pair]:
     """Rows of the centre's velocity in P, and its acceleration in P while v stays constant, m/s2."""
     psi_rate, theta_rate, spin_rate, _, _ = velocity
     radius, s_theta = lumped.radius, angles.s_theta
@@ -134,10 +127,6 @@ def center_of(lumped: Lumped, angles: Angles, velocity: Sequence[Real], conventi
         psi_rate * radius * s_theta * spin_rate,
         psi_rate * radius * theta_rate - radius * angles.c_theta * theta_rate * spin_rate,
     )
-    if convention == "printed":
-        (a, b), (c, d) = _mirror(angles)
-        x, y = drift
-        return (_add((a, rows[0]), (b, rows[1])), _add((c, rows[0]), (d, rows[1]))), (a * x + b * y, c * x + d * y)
     return rows, drift
 
 
