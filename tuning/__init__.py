@@ -6,7 +6,7 @@ from tuning.diagnostics.sensitivity import stiff_and_sloppy
 from tuning.objectives.following import FollowLine
 from tuning.objectives.limits import Limits
 from tuning.objectives.line_terms import SPATIAL_BOUNDS, LineTerms, LineWeights, friction_angle
-from tuning.objectives.objective import Objective
+from tuning.objectives.objective import Members, Objective
 from tuning.objectives.regulation import BOUNDS, SEEKING_BOUNDS, RestToRest, Terms, Weights
 from tuning.objectives.stability import hurwitz_margin
 from tuning.objectives.stages import Annealed
@@ -25,7 +25,7 @@ from tuning.transforms import FROZEN, POSITIVE, UNIT, Parametrisation, Transform
 
 __all__ = [
     "tune", "TuningResult",
-    "RestToRest", "FollowLine", "Robust", "Annealed", "Objective", "Term", "Limits",
+    "RestToRest", "FollowLine", "Robust", "Annealed", "Objective", "Members", "Term", "Limits",
     "Weights", "Terms", "LineWeights", "LineTerms", "friction_angle", "hurwitz_margin",
     "BOUNDS", "SEEKING_BOUNDS", "SPATIAL_BOUNDS", "FROZEN", "POSITIVE", "UNIT",
     "Parametrisation", "Transform", "bounded", "latin_hypercube", "parametrise", "value_and_gradient",
