@@ -8,11 +8,11 @@ Where the equations live (`grep -rn "Eq. (12)" jaxsphere` finds the home of any 
     (1) (5) (60)      models.planar                   dynamics, canonical form
     (2) - (4)         models.equilibrium              equilibrium, bound, poles of the zero dynamics
     (6) - (16)        controllers.sliding_mode        decoupled sliding-mode control of the plane
-    (19) - (26), (30), (31), (35), (41) - (43)    models.spatial.frames         frames, rolling constraint
+    (19) - (26), (30), (31), (35), (41) - (44)    models.spatial.frames         frames, rolling constraint
     (27) - (39)       models.spatial.energy           energies and Lagrangian
     (40)              models.spatial.contact          constraint forces
-    (44) - (46)       models.spatial.dynamics         reduced dynamics
-    (47) - (59)       controllers.tracking            trajectory tracking in four realisations
+    (45), (46)        models.spatial.dynamics         reduced dynamics, in the frame of `attitude`
+    (47) - (59)       controllers.tracking, .printed  trajectory tracking in four realisations
 
 Symbols:
 

@@ -255,7 +255,7 @@ class FollowLine:
         """What the terms distance ... effort take the mean square of, at states of any shape."""
         x, y = references.line(speed)(time).position
         error = 100.0 * (state[0] - x), 100.0 * (state[1] - y)
-        lean = jnp.rad2deg(jnp.maximum(jnp.abs(state[3] - 0.5 * jnp.pi) - self.lean_limit, 0.0))
+        lean = jnp.rad2deg(jnp.maximum(js.spatial.lean_from_upright(state) - self.lean_limit, 0.0))
         forces = contact.contact(self._true_robot, self.slope, state, torque)
         steeper = jnp.rad2deg(jnp.maximum(friction_angle(forces) - jnp.arctan(self.friction_limit), 0.0))
         return error, error, (linear_far_out(lean),), (linear_far_out(steeper),), torque

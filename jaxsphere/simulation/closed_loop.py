@@ -31,6 +31,8 @@ class Plant(NamedTuple):
     derivative: Callable[[State, State], tuple[Real, ...]]  # (state, torque) -> rate
     status: Callable[[State], Array]  # state -> Status code
     is_velocity: tuple[bool, ...]
+    into: Callable[[State], State] | None = None  # components that a user gives -> those that are integrated
+    out: Callable[[State, State], tuple[State, Any]] | None = None  # (integrated (T,), given at first) -> (shown, attitude)
 
 
 class Measure(NamedTuple):
@@ -100,11 +102,12 @@ def closed_loop(
         return now._replace(torque=tuple(jnp.clip(u, -torque_limit, torque_limit) for u in now.torque))
 
     def init(state: State, memory: State = ()) -> LoopState:
+        state = tuple(state if plant.into is None else plant.into(state))
         zero = jnp.zeros_like(state[0])
         blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(control, zero, state, memory))
         return LoopState(
             index=jnp.zeros((), jnp.int32),
-            x=tuple(state),
+            x=state,
             memory=tuple(memory),
             torque=blank.torque,
             held=None if hold is None else blank,

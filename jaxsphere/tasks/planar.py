@@ -91,21 +91,23 @@ class PlanarTask:
         """Initial state (alpha, alpha', phi, phi') and the law's memory zeta."""
         equilibrium = equilibrium_swing(self.robot, self.slope)
         zero = jnp.zeros_like(equilibrium)
-        state = (zero, zero, equilibrium, zero) if self.initial_state is None else tuple(self.initial_state)
+        rest = planar.PlanarState(zero, zero, equilibrium, zero)
+        state = tuple(rest if self.initial_state is None else self.initial_state)
         if self.disturbance is not None:
             state = tuple(x + push for x, push in zip(state, jnp.asarray(self.disturbance), strict=True))
         return state, (zero,)
 
     def target(self) -> Array:
         """Sphere angle alpha_d that the move ends at, rad: `travel` from the initial one, whatever the disturbance."""
-        start = 0.0 if self.initial_state is None else self.initial_state[0]
-        return jnp.asarray(self.travel) + start
+        return jnp.asarray(self.travel) + self._first_angle()
 
     def dynamics(self) -> Plant:
         """Plant of this task."""
         robot = self.robot if self.plant is None else self.plant
-        start = 0.0 if self.initial_state is None else self.initial_state[0]
-        return planar_plant(robot, jnp.asarray(self.slope), jnp.asarray(start), jnp.asarray(self.travel))
+        return planar_plant(robot, jnp.asarray(self.slope), jnp.asarray(self._first_angle()), jnp.asarray(self.travel))
+
+    def _first_angle(self) -> Real:
+        return 0.0 if self.initial_state is None else planar.PlanarState(*self.initial_state).alpha
 
     def law(self, gains: SlidingModeGains) -> Law:
         """Sliding-mode law of this task, with the bias of its sensors."""
@@ -217,9 +219,9 @@ def planar_plant(robot: Robot, slope: Array, start: Array, travel: Array) -> Pla
     range_ = 100.0 * jnp.maximum(jnp.abs(travel), 10.0)
 
     def status(state: planar.State) -> Array:
-        alpha, _, swing, _ = state
-        away = jnp.where(jnp.abs(alpha - start) > range_, code(Status.DIVERGED), code(Status.OK))
-        return jnp.where(jnp.abs(swing) > jnp.pi, code(Status.WHIRLING), away)
+        now = planar.PlanarState(*state)
+        away = jnp.where(jnp.abs(now.alpha - start) > range_, code(Status.DIVERGED), code(Status.OK))
+        return jnp.where(jnp.abs(now.swing) > jnp.pi, code(Status.WHIRLING), away)
 
     return Plant(partial(planar.derivative, lumped), status, planar.IS_VELOCITY)
 

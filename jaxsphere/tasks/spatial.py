@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxsphere.checks import is_concrete, require_choice, require_finite_vector, require_scalar
-from jaxsphere.controllers import references, tracking
+from jaxsphere.checks import require_choice, require_finite_vector, require_scalar
+from jaxsphere.controllers import printed, references, tracking
 from jaxsphere.controllers.references import Pair, ReferenceFunction
 from jaxsphere.controllers.tracking import TrackingGains
 from jaxsphere.models import spatial
@@ -84,7 +84,7 @@ class SpatialTask:
     delayed: Any = field(default=None, metadata={"help": "each torque acts one control period later"})
     tolerance: Real = quantity(0.05, "m", "error above which the reference is not followed")
     settled_after: Real = quantity(5.0, "s", "time allowed for settling")
-    realisation: str = field(default="pendulum_attitude", metadata={"static": True, "help": "one of tracking.REALISATIONS"})
+    realisation: str = field(default="pendulum_attitude", metadata={"static": True, "help": ", ".join(tracking.REALISATIONS)})
 
     def default_gains(self) -> TrackingGains:
         """Table 4."""
@@ -108,14 +108,13 @@ class SpatialTask:
         if self.torque_limit is not None:
             require_scalar("torque_limit", self.torque_limit, above=0.0, unit="N m")
         if self.initial_state is not None:
-            require_finite_vector("initial_state", self.initial_state, 12, ", ".join(spatial.STATE_NAMES))
-            _require_regular(self.initial_state)
+            require_finite_vector("initial_state", self.initial_state, 12, ", ".join(spatial.SpatialState._fields))
         if self.delayed is not None and self.control_period is None:
             raise ValueError("delayed needs a sampled controller; type control_period=1e-3")
         references.check_reference(self.reference, duration)
 
     def start(self) -> tuple[State, State]:
-        """Initial state, 12 components; the law has no memory."""
+        """Initial state, 12 paper coordinates; the law has no memory."""
         if self.initial_state is not None:
             return tuple(self.initial_state), ()
         slope = jnp.asarray(self.slope)
@@ -124,7 +123,7 @@ class SpatialTask:
     def dynamics(self) -> Plant:
         """Plant of this task."""
         robot = self.robot if self.plant is None else self.plant
-        return spatial_plant(robot, jnp.asarray(self.slope), self.realisation == "ideal")
+        return ideal_plant(robot) if self.realisation == "ideal" else spatial_plant(robot, jnp.asarray(self.slope))
 
     def law(self, gains: TrackingGains) -> Law:
         """Tracking law of this task."""
@@ -159,7 +158,6 @@ class SpatialTask:
             "torque_limit or a_max",
             Status.DIVERGED: "the robot rolled away; check the gains and the torque limit",
             Status.SINGULAR_DECOUPLING: "no torques give what the law asks for; lower the speed or the gains",
-            Status.SINGULAR_COORDINATES: "the lean reached 0 or pi, where the angles are singular; lower the demand",
             Status.INFEASIBLE_LEAN: "no swing of the pendulum balances the demand; lower the slope or the demand",
             Status.NONFINITE: "the next state is not finite; lower dt",
         }
@@ -231,14 +229,19 @@ def track(
     return simulate(task, gains, numerics, diagnostics=diagnostics, throw=throw)
 
 
-def spatial_plant(robot: Robot, slope: Array, ideal: bool = False) -> Plant:
-    """Spatial robot as a rollout sees it; `ideal` takes five accelerations in place of two torques, (48)."""
-    field = (
-        partial(tracking.ideal_derivative, robot)
-        if ideal
-        else partial(spatial.derivative_components, spatial.lump(robot, slope))
-    )
-    return Plant(field, spatial.status, spatial.IS_VELOCITY)
+def spatial_plant(robot: Robot, slope: Array) -> Plant:
+    """Spatial robot as a rollout sees it: integrated in the gimbal's frame, given and shown in paper coordinates."""
+    field = partial(spatial.derivative_components, spatial.lump(robot, slope))
+    return Plant(field, _alive, spatial.IS_VELOCITY, spatial.of_state, spatial.paper_states)
+
+
+def ideal_plant(robot: Robot) -> Plant:
+    """Robot whose five accelerations are the input, (48), in paper coordinates."""
+    return Plant(partial(printed.ideal_derivative, robot), _alive, (*(False,) * 7, *(True,) * 5))
+
+
+def _alive(state: State) -> Array:
+    return jnp.full_like(state[0], code(Status.OK), jnp.int32)
 
 
 def _start(
@@ -251,11 +254,3 @@ def _start(
         heading = jnp.where(moving, jnp.arctan2(jnp.where(moving, north, 0.0), jnp.where(moving, east, 1.0)), 0.0)
     position = first.position if start is None else start
     return tuple(jnp.asarray(x, slope.dtype) for x in tracking.resting_state(robot, slope, position, heading))
-
-
-def _require_regular(state: Array) -> None:
-    if is_concrete(state) and abs(math.sin(float(state[3]))) < math.sin(spatial.SINGULAR_LEAN):
-        raise ValueError(
-            f"initial_state has a lean theta = {float(state[3]):g} rad, where the attitude angles are singular; type one away "
-            "from 0 and pi, e.g. pi/2"
-        )
