@@ -7,7 +7,7 @@ import pytest
 import tuning
 from experiments.benchmarks import pareto as benchmark_pareto
 from experiments.benchmarks import tuning as benchmark_tuning
-from tuning import pareto
+from tuning.robust import pareto
 
 
 class Bowl:

@@ -18,7 +18,7 @@ SHORT = tuning.FollowLine(
     speeds=(0.3, 0.6),
     duration=0.96,
     dt=8e-3,
-    sample_every=3,
+    save_every=3,
     settled_after=0.25,
     weights=EVERY,
     lean_limit=0.05,
@@ -160,11 +160,11 @@ def test_own_term_adds_its_weighted_mean_square_over_the_speeds():
         ({"speeds": (0.3, np.nan)}, "speeds = nan m/s is not admissible"),
         ({"starts": (0.3, 0.1)}, r"starts = \(0\.3, 0\.1\) are no positions; type pairs"),
         ({"settled_after": 0.96}, r"settled_after = 0\.96 s is not admissible; type a number at least 0 and below 0\.96"),
-        ({"sample_every": 7}, "save_every = 7 must be None or a whole number that divides the 120 steps"),
-        ({"sample_every": 0}, "sample_every = 0 is not admissible"),
+        ({"save_every": 7}, "save_every = 7 must be None or a whole number that divides the 120 steps"),
+        ({"save_every": 0}, "save_every = 0 is not admissible"),
         ({"friction_limit": -0.1}, r"friction_limit = -0\.1 is not admissible"),
         ({"lean_limit": 90.0}, "lean_limit = 90 rad is not admissible"),
-        ({"steepest": 0.0}, r"steepest = 0\.0 is not admissible"),
+        ({"largest_residual_gradient": 0.0}, r"largest_residual_gradient = 0\.0 is not admissible"),
         ({"weights": tuning.LineWeights(lean=-1.0)}, r"weights\.lean = -1 is not admissible"),
         ({"weights": tuning.LineWeights(*(0.0,) * 7)}, r"type a positive one, e\.g\. tuning\.LineWeights\(distance=1\.0\)"),
         ({"extra": (tuning.Term("path", lambda trajectory: trajectory.state[:, 0]),)}, "term 'path' returns shape"),
@@ -177,7 +177,84 @@ def test_faults_get_one_sentence(change, message):
 
 def test_what_is_not_finite_is_named_with_lane_and_time():
     broken = replace(SHORT, friction_limit=np.nan)
-    assert "0.3 m/s from (0.3, 0.1) m: friction is not finite at 0 s" in broken.explain(GAINS)
+    assert broken.explain(GAINS) == "lane 0, t = 0 s, friction at 0.3 m/s from (0.3, 0.1) m"
     far = replace(SHORT, starts=((np.inf, 0.0),))
-    assert "0.3 m/s from (inf, 0.0) m: distance is not finite at 0 s" in far.explain(GAINS)
-    assert "every rollout is finite" in SHORT.explain(GAINS)
+    assert far.explain(GAINS) == "lane 0, t = 0 s, distance at 0.3 m/s from (inf, 0.0) m"
+    assert "all of its terms are finite" in SHORT.explain(GAINS)
+
+
+# Every capability of the planar objective, on lines that last 20 steps.
+BRIEF = replace(SHORT, duration=0.16, save_every=2, settled_after=0.08, hard_limits=True)
+
+
+def test_scenarios_stages_limits_and_figures_of_lines():
+    spread = tuning.Uncertainty(relative={"pendulum_mass": 0.2}, slope=(0.05, 0.2), known=False, delayed=0.5)
+    scenarios, _ = tuning.sample(spread, BRIEF.task, 2, seed=0)
+    assert len(set(np.asarray(scenarios.plant.pendulum_mass).tolist())) == 2
+    robust = tuning.Robust(BRIEF, scenarios)
+    annealed = tuning.Annealed(robust, smoothing=(1.0, 1.0), stiffness=(1.0, 3.0))
+    drawn = [{"robot": js.Robot(), "plant": jax.tree.map(lambda leaf, i=i: leaf[i], scenarios.plant)} for i in (0, 1)]
+
+    @compiled
+    def evaluate(gains):
+        each = [replace(BRIEF, slope=scenarios.slope[i], delayed=scenarios.delayed[i], **drawn[i]).terms(gains) for i in (0, 1)]
+        squares = jnp.sum(annealed.residuals(gains) ** 2)
+        return robust(gains), each, squares, BRIEF.limits(gains), robust.limits(gains), BRIEF.figures(gains)
+
+    value, each, squares, limits, worst, figures = evaluate(GAINS)
+    first, second = (sum(w * float(t) for w, t in zip(EVERY, terms, strict=True)) for terms in each)
+    assert first != second
+    assert value == pytest.approx(0.5 * (first + second), rel=1e-9)
+    stiff = EVERY._replace(lean=3 * EVERY.lean, friction=3 * EVERY.friction, lost=3 * EVERY.lost)
+    expected = np.mean([sum(w * float(t) for w, t in zip(stiff, terms, strict=True)) for terms in each])
+    assert squares == pytest.approx(expected, rel=1e-9)
+    assert annealed.largest_residual_gradient == 3.0
+    runs = [BRIEF.rollout(GAINS, speed) for speed in BRIEF.speeds]
+    lean = max(float(run.metrics.peak_lean) for run in runs) / 0.05 - 1.0
+    assert limits.soft["lean"] == pytest.approx(lean, rel=1e-9)
+    assert limits.hard["ended_early"] == pytest.approx(0.0, abs=1e-12)
+    assert bool(limits.feasible) == (lean <= 0.02 and float(limits.soft["friction"]) <= 0.02)
+    assert worst.soft == {}
+    assert 0.0 < figures[1] < 1.0
+    assert np.all(np.isfinite(figures))
+    soft = replace(BRIEF, hard_limits=False)
+    assert soft.limits(GAINS).feasible
+
+
+def test_growth_along_lines_is_that_of_a_nudged_rollout():
+    slow = replace(BRIEF, speeds=(0.3,), weights=tuning.LineWeights())
+    exponent = compiled(lambda gains: tuning.lyapunov_exponent(slow, gains))(GAINS)
+    rest = jnp.stack(slow.lane(0.3).start()[0])
+    ends = [
+        js.simulate(replace(slow.lane(0.3), initial_state=rest + nudge), GAINS, slow.numerics, throw=False).state[-1]
+        for nudge in (5e-7, -5e-7)
+    ]
+    growth = float(jnp.linalg.norm(ends[0] - ends[1])) / 1e-6
+    assert exponent == pytest.approx(np.log(growth) / 0.16 - np.log(2.0) / 0.16, abs=0.05)
+
+
+class Telltale(tuning.FollowLine):
+    """Its best k1 and k2 tell the limit of the lean and the weight of the effort that it was given."""
+
+    def residuals(self, gains):
+        return jnp.stack([gains.k1 - 100.0 * self.lean_limit, gains.k2 - 30.0 - 4.0 * jnp.log10(self.weights.effort)])
+
+    def figures(self, gains):
+        return jnp.stack([gains.k1, 1.0 / gains.k1, jnp.ones(())])
+
+
+def test_a_front_of_lines_weighs_lean_against_effort():
+    settings = {"points": 8, "iterations": 40, "rounds": 0, "swing": (0.2, 0.8), "effort": (1e-4, 1.0)}
+    front = tuning.pareto_front(Telltale(), js.TrackingGains(), **settings)
+    ends, counts = np.unique(np.round(np.asarray(front.gains.k1), 4), return_counts=True)
+    np.testing.assert_array_equal(np.floor(8 * np.log(ends[counts >= 10] / 20.0) / np.log(4.0)), np.arange(8))
+
+
+def test_a_certificate_of_lines_counts_those_that_are_not_followed():
+    settings = {"count": 3, "duration": 0.16, "dt": 8e-3, "control_period": 8e-3}
+    slopes = tuning.Uncertainty(slope=(0.05, 0.2))
+    lost = tuning.certify(GAINS, slopes, js.SpatialTask(settled_after=0.0, start_position=(0.3, 0.1)), **settings)
+    assert lost.not_settled == lost.failures == 3
+    assert np.all(np.isinf(lost.settling_times))
+    with pytest.raises(ValueError, match="swing and sensor_bias vary in a PlanarTask only"):
+        tuning.certify(GAINS, replace(slopes, swing=0.1), js.SpatialTask())

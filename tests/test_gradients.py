@@ -42,7 +42,7 @@ def test_forward_equals_reverse_equals_central_differences_and_none_vanishes(cas
 def test_terms_reach_the_gradient_one_by_one():
     # Table 3 swings by more than 5 degrees, but by less than the default limit of 20.
     terms = replace(OBJECTIVE, swing_limit=np.deg2rad(5.0), duration=1.2).terms
-    moving = ("tracking", "swing", "torque", "chatter", "settling")  # the others are zero here or know no trajectory
+    moving = ("itae", "swing", "torque", "chatter", "settling")  # the others are zero here or know no trajectory
     gradients = jax.jit(jax.jacfwd(terms))(js.SlidingModeGains())
     for term in moving:
         gradient = getattr(gradients, term)

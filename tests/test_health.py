@@ -1,6 +1,6 @@
 """Gradient health: verdicts, the Lyapunov exponent against the poles, the audit of the sign, stiff and sloppy directions."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ import pytest
 
 import jaxsphere as js
 import tuning
-from tuning import health
+from tuning.diagnostics import health
 
 GAINS = js.SlidingModeGains()
 SHORT = tuning.RestToRest(duration=1.2, dt=2e-2)
@@ -25,7 +25,6 @@ def test_a_smooth_short_task_is_trusted():
         assert found.verdict.startswith("trust")
 
 
-@dataclass(frozen=True, eq=False)
 class Lying(tuning.RestToRest):
     """Its derivatives, forward and reverse alike, leave out a part of it."""
 
@@ -52,11 +51,11 @@ def test_verdicts(numbers, word):
 
 
 def test_lyapunov_exponent_is_the_slowest_pole_near_the_target():
-    near = js.equilibrium_swing(js.Robot(), SHORT.slope)
+    near = js.equilibrium_swing(js.Robot(), SHORT.task.slope)
     resting = replace(
         SHORT, travel=1e-3, duration=24.0, dt=1e-2, smoothing=1.0, initial_state=jnp.array([0.0, 0.0, float(near), 0.0])
     )
-    poles = np.asarray(js.sliding_mode_poles(js.Robot(), SHORT.slope, GAINS))
+    poles = np.asarray(js.sliding_mode_poles(js.Robot(), SHORT.task.slope, GAINS))
     exponent = float(jax.jit(lambda gains: tuning.lyapunov_exponent(resting, gains))(GAINS))
     assert exponent == pytest.approx(poles.real.max(), abs=0.1)  # a finite time leaves log(constant) / 24 s
 

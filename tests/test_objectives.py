@@ -9,7 +9,7 @@ import pytest
 
 import jaxsphere as js
 import tuning
-from tuning.stability import characteristic_polynomial, hurwitz_margin, hurwitz_margins, routh_column
+from tuning.objectives.stability import characteristic_polynomial, hurwitz_margin, hurwitz_margins, routh_column
 
 GAINS = js.SlidingModeGains(c1=0.7, eta=4.0)
 OBJECTIVE = tuning.RestToRest(duration=1.2, dt=8e-3, swing_limit=float(np.deg2rad(5.0)))
@@ -23,12 +23,12 @@ def test_terms_equal_those_of_the_saved_rollout():
     terms = jax.jit(OBJECTIVE.terms)(GAINS)
     found = OBJECTIVE.rollout(GAINS)
     time, alpha, swing = np.asarray(found.time)[:-1], np.asarray(found.state[:-1, 0]), np.asarray(found.state[:-1, 2])
-    deviation = np.abs(swing - float(js.equilibrium_swing(js.Robot(), OBJECTIVE.slope)))
+    deviation = np.abs(swing - float(js.equilibrium_swing(js.Robot(), OBJECTIVE.task.slope)))
     excess = np.rad2deg(np.maximum(deviation - OBJECTIVE.swing_limit, 0.0))
     step = GAINS.eta / np.asarray(found.diagnostics.decoupling)[:-1]
     error = alpha / 10.0 - 1.0
     expected = {
-        "tracking": 8e-3 * np.sum(time * (np.sqrt(error**2 + 1e-6) - 1e-3)),
+        "itae": 8e-3 * np.sum(time * (np.sqrt(error**2 + 1e-6) - 1e-3)),
         "swing": 8e-3 * np.sum(2.0 * (np.sqrt(1.0 + excess**2) - 1.0)),
         "torque": 8e-3 * np.sum(np.asarray(found.torque[:-1]) ** 2),
         "chatter": np.mean(step**2),
@@ -53,7 +53,7 @@ def test_overshoot_is_counted_beyond_its_limit():
 @pytest.mark.parametrize("continuous", [False, True])
 @pytest.mark.parametrize("slope", [0.17, 0.4], ids=["settles", "past the bound"])
 def test_objective_is_the_weighted_sum_of_its_terms_and_of_its_squared_residuals(slope, continuous):
-    objective = replace(OBJECTIVE, weights=EVERY, continuous=continuous, slope=slope)
+    objective = replace(OBJECTIVE, weights=EVERY, control_period=None if continuous else 8e-3, slope=slope)
 
     @jax.jit
     def evaluate(gains):
@@ -88,19 +88,19 @@ def test_plant_start_delay_and_bias_reach_both_forms_of_the_objective():
 
     @jax.jit
     def evaluate(plant, initial_state, late, sensor_bias):
-        names = {"plant": plant, "initial_state": initial_state, "late": late, "sensor_bias": sensor_bias}
+        names = {"plant": plant, "initial_state": initial_state, "delayed": late, "sensor_bias": sensor_bias}
         objective = replace(base, **names)
         return objective(GAINS), jnp.sum(objective.residuals(GAINS) ** 2), objective.cost_so_far(GAINS)[-1]
 
     @jax.jit
     def tracking(plant, initial_state, late, sensor_bias):
         found = js.rest_to_rest(
-            js.Robot(), base.slope, GAINS, 10.0, 0.4, 8e-3, base.smoothing, 5.0, plant=plant, initial_state=initial_state,
-            delayed=late, sensor_bias=sensor_bias, control_period=8e-3, throw=False,
+            js.Robot(), base.task.slope, GAINS, 10.0, 0.4, 8e-3, base.task.smoothing, 5.0, plant=plant,
+            initial_state=initial_state, delayed=late, sensor_bias=sensor_bias, control_period=8e-3, throw=False,
         )  # fmt: skip
-        return found.state, replace(base, plant=plant, initial_state=initial_state, late=late, sensor_bias=sensor_bias).rollout(
-            GAINS
-        ).state
+        return found.state, replace(
+            base, plant=plant, initial_state=initial_state, delayed=late, sensor_bias=sensor_bias
+        ).rollout(GAINS).state
 
     plain = evaluate(*nothing)[0]
     for index in range(len(nothing)):
@@ -121,7 +121,7 @@ def test_barriers_vanish_inside_and_rise_outside():
     terms = OBJECTIVE.terms(WILD)
     margin = float(js.nonsingularity_margin(js.Robot(), WILD))
     assert terms.singularity == pytest.approx((1.0 - margin / 0.2) ** 2)
-    hurwitz = np.asarray(hurwitz_margins(js.Robot(), OBJECTIVE.slope, WILD))
+    hurwitz = np.asarray(hurwitz_margins(js.Robot(), OBJECTIVE.task.slope, WILD))
     assert hurwitz.min() < 0.0
     assert terms.stability == pytest.approx(np.sum(np.maximum(1.0 - hurwitz / 0.1, 0.0) ** 2))
 

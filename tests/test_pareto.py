@@ -1,14 +1,12 @@
 """The non-dominated filter, the hypervolume and a small front."""
 
-from dataclasses import dataclass
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxsphere as js
 import tuning
-from tuning import pareto
+from tuning.robust import pareto
 
 
 def test_non_dominated_filter():
@@ -35,10 +33,9 @@ def test_a_small_front_trades_one_figure_for_another():
     assert front.tried == 18 + 2 * 30
     assert front.plain_rollouts == 18 * tuning.levenberg_marquardt().plain_rollouts(6) + front.tried  # each is scored
     first = js.SlidingModeGains(*(float(leaf[0]) for leaf in vars(front.gains).values()))
-    np.testing.assert_allclose(pareto.figures(objective, first), front.figures[0], rtol=1e-6)
+    np.testing.assert_allclose(objective.figures(first), front.figures[0], rtol=1e-6)
 
 
-@dataclass(frozen=True, eq=False)
 class Telltale(tuning.RestToRest):
     """Its best c1 and c2 tell the swing limit and the weight of the torque that it was given."""
 
@@ -47,7 +44,7 @@ class Telltale(tuning.RestToRest):
 
 
 def test_weightings_fill_both_ranges_evenly_in_the_logarithm(monkeypatch):
-    monkeypatch.setattr(pareto, "figures", lambda objective, gains: jnp.stack([gains.c1, -gains.c1, jnp.ones(())]))
+    monkeypatch.setattr(Telltale, "figures", lambda _, gains: jnp.stack([gains.c1, -gains.c1, jnp.ones(())]))
     start = js.SlidingModeGains(c1=0.6, c2=3.0)
     front = tuning.pareto_front(Telltale(), start, points=8, iterations=40, rounds=0, swing=(0.15, 0.6), effort=(1e-4, 0.1))
     # Where a weighting ends, it stays for many iterations.
@@ -58,7 +55,7 @@ def test_weightings_fill_both_ranges_evenly_in_the_logarithm(monkeypatch):
 
 
 def test_rounds_fill_in_the_front_and_reach_beyond_its_edge(monkeypatch):
-    monkeypatch.setattr(pareto, "figures", lambda objective, gains: jnp.stack([gains.c1, 1.0 / gains.c1, gains.c2]))
+    monkeypatch.setattr(Telltale, "figures", lambda _, gains: jnp.stack([gains.c1, 1.0 / gains.c1, gains.c2]))
     settings = {"points": 8, "iterations": 2, "swing": (0.15, 0.6), "effort": (1e-4, 0.1)}
     fronts = [tuning.pareto_front(Telltale(), js.SlidingModeGains(c1=0.6, c2=3.0), rounds=n, **settings) for n in (0, 3)]
     volumes = [pareto.hypervolume(front.figures, np.array([2.0, 6.0, 9.0])) for front in fronts]
@@ -71,12 +68,12 @@ def test_rounds_fill_in_the_front_and_reach_beyond_its_edge(monkeypatch):
 def test_figures_are_scored_with_the_hard_sign_and_infinite_unless_settled():
     task, gains = tuning.RestToRest(), js.SlidingModeGains()
     found = js.rest_to_rest(
-        js.Robot(), task.slope, gains, 10.0, 8.0, 1e-3, 0.0, 5.0, control_period=1e-3, save_every=None, throw=False
+        js.Robot(), task.task.slope, gains, 10.0, 8.0, 1e-3, 0.0, 5.0, control_period=1e-3, save_every=None, throw=False
     )
     assert found.status == js.Status.OK
     expected = [found.metrics.settling_time, found.metrics.peak_swing, found.metrics.effort]
-    np.testing.assert_allclose(pareto.figures(task, gains), expected, rtol=1e-9)
-    assert np.all(np.isinf(pareto.figures(task, js.SlidingModeGains(c1=0.1))))
+    np.testing.assert_allclose(task.figures(gains), expected, rtol=1e-9)
+    assert np.all(np.isinf(task.figures(js.SlidingModeGains(c1=0.1))))
 
 
 def test_faults_get_one_sentence():

@@ -171,13 +171,13 @@ def test_slopes_steeper_than_the_cap_are_scaled_down_and_the_value_is_not():
         return jnp.stack([x[0] + 1.0, 1e6 * x[1] + 0.1, 2.0 * x[1] - 1.0])
 
     x = jnp.zeros(2)
-    seen = tuning.quadratic(chaotic, x, steepest=3.0)
+    seen = tuning.quadratic(chaotic, x, largest_residual_gradient=3.0)
     size = np.sqrt(2.01 / 3.0)
     jacobian = np.array([[1.0, 0.0], [0.0, 3.0 * size], [0.0, 2.0]])
     assert seen.value == pytest.approx(2.01)
     np.testing.assert_allclose(seen.gradient, 2.0 * jacobian.T @ [1.0, 0.1, -1.0], rtol=1e-12)
     np.testing.assert_allclose(seen.hessian, 2.0 * jacobian.T @ jacobian, rtol=1e-12)
-    uncapped = tuning.quadratic(chaotic, x, steepest=1e9)
+    uncapped = tuning.quadratic(chaotic, x, largest_residual_gradient=1e9)
     for one, other in zip(uncapped, tuning.quadratic(chaotic, x), strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -293,3 +293,55 @@ def test_checkpoints_of_other_problems_and_other_files_are_refused(tmp_path):
     path.write_text("no checkpoint")
     with pytest.raises(ValueError, match="is no checkpoint; type a file that"):
         tuning.tune(**problem(checkpoint=path, resume=True))
+
+
+def valley(middle):
+    return lambda gains: jnp.log(gains.c1 / middle) ** 2 + (gains.c2 - 2.0) ** 2 + 1.0
+
+
+RATE = {"objective": valley(1.0), "initial_gains": js.SlidingModeGains(), "optimiser": tuning.adam(0.1), "iterations": 3}
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"objective": valley(1.5)}, "objective"),  # the same function with another captured number
+        ({"transforms": {"c1": tuning.bounded(0.1, 9.0)}}, "transforms"),
+        ({"optimiser": tuning.adam(0.5)}, "optimiser"),
+        ({"optimiser": "lbfgs", "iterations": 6}, "optimiser"),
+        ({"gradient": "reverse"}, "gradient"),
+        ({"initial_gains": js.SlidingModeGains(c1=0.9)}, "initial_gains"),
+        ({"optimiser": "adam"}, "iterations, optimiser"),
+    ],
+)
+def test_a_search_that_differs_in_anything_is_not_resumed(tmp_path, change, key):
+    settings = RATE | {"checkpoint": tmp_path / "tuning.npz", "progress": False}
+    tuning.tune(**settings)
+    with pytest.raises(ValueError, match=rf"of another problem \(it differs in {key}\)") as caught:
+        tuning.tune(**settings | change, resume=True)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_same_problem_made_anew_is_resumed_for_more_iterations(tmp_path):
+    settings = RATE | {"progress": False, "chunk": 2}
+    whole = tuning.tune(**settings | {"iterations": 7})
+    tuning.tune(**settings, checkpoint=tmp_path / "tuning.npz")  # ends within a chunk
+    again = {"objective": valley(1.0), "optimiser": tuning.adam(0.1), "iterations": 7}
+    rest = tuning.tune(**settings | again, checkpoint=tmp_path / "tuning.npz", resume=True)
+    np.testing.assert_array_equal(rest.history["objective"], whole.history["objective"])
+    assert rest.gains.c1 == whole.gains.c1
+    scheduled = settings | {"optimiser": "adam", "checkpoint": tmp_path / "scheduled.npz"}
+    tuning.tune(**scheduled)
+    with pytest.raises(ValueError, match="differs in iterations, optimiser"):
+        tuning.tune(**scheduled | {"iterations": 7}, resume=True)
+
+
+def test_a_stored_best_is_evaluated_before_it_is_trusted(tmp_path):
+    path = tmp_path / "tuning.npz"
+    found = tuning.tune(**RATE, checkpoint=path, progress=False)
+    with np.load(path) as file:
+        content = dict(file)
+    (best,) = (name for name, leaf in content.items() if leaf.shape == (1,) and leaf[0] == found.objective)
+    np.savez(path, **content | {best: 0.5 * content[best]})
+    with pytest.raises(ValueError, match=r"says that its best objectives are .* but there they are .*; type resume=False"):
+        tuning.tune(**RATE, checkpoint=path, resume=True, progress=False)

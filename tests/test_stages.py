@@ -9,7 +9,7 @@ import pytest
 
 import jaxsphere as js
 import tuning
-from tuning.diagnosis import first_not_finite
+from tuning.objectives.terms import Series, first_not_finite
 
 TABLE_3 = js.SlidingModeGains()
 SHORT = tuning.RestToRest(duration=0.4, dt=2e-2)
@@ -62,16 +62,16 @@ def test_limits_are_relative_and_decide_what_is_feasible():
     objective = replace(SHORT, duration=4.0, swing_limit=0.2)
     limits = objective.limits(TABLE_3)
     run = objective.rollout(TABLE_3)
-    assert limits.swing == pytest.approx(float(run.metrics.peak_swing) / 0.2 - 1.0)
-    assert limits.swing > 0.02
+    assert limits.soft["swing"] == pytest.approx(float(run.metrics.peak_swing) / 0.2 - 1.0)
+    assert limits.soft["swing"] > 0.02
     assert not limits.feasible
-    assert limits.sentence() == f"breaks swing by {float(limits.swing):.3g}"
-    kept = limits._replace(swing=jnp.asarray(0.019))
+    assert limits.sentence() == f"breaks swing by {float(limits.soft['swing']):.3g}"
+    kept = limits._replace(soft={"swing": jnp.asarray(0.019)})
     assert kept.feasible
     assert kept.sentence() == "keeps every limit"
-    assert objective.limits(replace(TABLE_3, z_u=0.99, c2=200.0)).singularity > 0.0
+    assert objective.limits(replace(TABLE_3, z_u=0.99, c2=200.0)).hard["singularity"] > 0.0
     early = replace(objective, plant=js.Robot(pendulum_mass=0.4)).limits(TABLE_3)
-    assert early.ended_early >= 0.0
+    assert early.hard["ended_early"] >= 0.0
 
 
 class Limited(NamedTuple):
@@ -83,8 +83,7 @@ class Limited(NamedTuple):
         return jnp.log(gains.c1) ** 2 + 1.0
 
     def limits(self, gains):
-        zero = jnp.zeros_like(gains.c1)
-        return tuning.Limits(zero, zero, zero, self.least / gains.c1 - 1.0, zero)
+        return tuning.Limits({}, {"swing": self.least / gains.c1 - 1.0})
 
 
 def test_the_best_feasible_start_wins():
@@ -110,9 +109,9 @@ def nan_after(time):
 
 def test_the_first_quantity_that_is_not_finite_is_named():
     time, late, early = jnp.arange(3.0), jnp.array([0.0, 0.0, jnp.inf]), jnp.array([0.0, jnp.nan, 1.0])
-    assert first_not_finite(time, {"late": late, "early": early}, {}) == "lane 0, t = 1 s, early"
-    assert first_not_finite(time, {"late": late}, {"still": jnp.array([jnp.nan])}, lane=3) == "lane 3, t = 0 s, still"
-    assert "all of its terms are finite" in first_not_finite(time, {"fine": time}, {})
+    assert first_not_finite(Series(time, {"late": late, "early": early}, {})) == "lane 0, t = 1 s, early"
+    assert first_not_finite(Series(time, {"late": late}, {"still": jnp.array([jnp.nan])}), lane=3) == "lane 3, t = 0 s, still"
+    assert "all of its terms are finite" in first_not_finite(Series(time, {"fine": time}, {}))
 
 
 def test_an_objective_that_is_not_finite_names_lane_time_and_quantity():
@@ -120,7 +119,7 @@ def test_an_objective_that_is_not_finite_names_lane_time_and_quantity():
     with pytest.raises(ValueError, match=r"objective = nan at initial_gains \(lane 0, t = 0.4 s, term comfort\), and it is"):
         tuning.tune(spoilt, TABLE_3, optimiser="lm", iterations=1, chunk=1, progress=False)
     scenarios, _ = tuning.sample(tuning.Uncertainty(swing=0.1), js.Robot(), 3, seed=0)
-    scenarios = scenarios._replace(slope=scenarios.slope.at[1].set(jnp.nan))
+    scenarios = replace(scenarios, slope=scenarios.slope.at[1].set(jnp.nan))
     assert tuning.Robust(SHORT, scenarios).explain(TABLE_3).startswith("lane 1, t = 0 s, ")
 
 

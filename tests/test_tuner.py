@@ -11,7 +11,6 @@ import pytest
 
 import jaxsphere as js
 import tuning
-from tuning import tuner
 
 TABLE_3 = js.SlidingModeGains()
 
@@ -162,6 +161,22 @@ def test_another_format_is_refused(tmp_path):
         tuning.TuningResult.load(path)
 
 
+def test_a_zero_gradient_in_every_free_gain_has_a_status_of_its_own():
+    flat = quiet(lambda gains: jnp.round(gains.c1) + 1.0, starts=2, iterations=3)
+    assert flat.status == "zero gradient"
+    assert flat.gains.c1 == pytest.approx(TABLE_3.c1, rel=1e-14)
+    assert "does not change with any free gain: nothing was tuned" in flat.report()
+    one_start_moves = quiet(lambda gains: jnp.maximum(gains.c1, 0.6) ** 2, starts=8, iterations=1)
+    assert one_start_moves.history["gradient_norm"][0, 0] == 0.0
+    assert one_start_moves.status == "finished"
+
+
+def test_a_pair_of_functions_is_an_optimiser():
+    init, update, *_ = tuning.adam(0.1)
+    pair, named = (quiet(optimiser=rule) for rule in ((init, update), tuning.adam(0.1)))
+    np.testing.assert_array_equal(pair.history["objective"], named.history["objective"])
+
+
 def test_report_names_gains_objective_and_starts():
     report = quiet(starts=2, frozen=("k",)).report()
     assert re.search(r"^c1 +0\.5501 +\d+\.\d{4}$", report, re.MULTILINE)
@@ -188,10 +203,10 @@ def test_interrupt_before_anything_is_known_passes_on(monkeypatch):
 
 def interrupt_at(monkeypatch, chunk):
     """Press Ctrl-C as the given chunk begins."""
-    batched = tuner.over_lanes
+    batched = js.batch
 
-    def over_lanes(function, *settings):
-        run, calls = batched(function, *settings), iter(range(1, chunk + 1))
+    def batch(function, **settings):
+        run, calls = batched(function, **settings), iter(range(1, chunk + 1))
 
         def interrupted(*arguments):
             if next(calls) == chunk:
@@ -200,7 +215,7 @@ def interrupt_at(monkeypatch, chunk):
 
         return interrupted
 
-    monkeypatch.setattr(tuner, "over_lanes", over_lanes)
+    monkeypatch.setattr(js, "batch", batch)
 
 
 BAD = {
@@ -227,6 +242,11 @@ BAD = {
     "starts": ({"starts": -1}, r"starts = -1 is not admissible"),
     "chunk": ({"chunk": 0}, r"chunk = 0 is not admissible"),
     "rate": ({"learning_rate": np.nan}, r"learning_rate = nan is not admissible"),
+    "optimiser": ({"optimiser": 3.0}, r"optimiser = 3\.0 is none; type one of adam, lbfgs, lm, or a pair \(init, update\)"),
+    "setting": (
+        {"objective": lambda g: tuning.RestToRest(slop=0.1)(g)},
+        "'slop' is no setting of the task or its numerics; type",
+    ),
     "spread": ({"spread": -0.1}, r"spread = -0\.1 is not admissible"),
 }
 

@@ -1,76 +1,37 @@
 """Gains by gradients through rollouts."""
 
-from tuning.certificate import Certificate, certify, clopper_pearson
 from tuning.climbing import ClimbTuning, Sensitivity, climb_sensitivity, sensitivity_by_differences, tune_to_climb
-from tuning.following import SPATIAL_BOUNDS, FollowLine, LineTerms, LineWeights, friction_angle
-from tuning.health import audit_sign, check_gradient, lyapunov_exponent, stiff_and_sloppy
-from tuning.limits import Limits
-from tuning.objectives import BOUNDS, SEEKING_BOUNDS, RestToRest, Terms, Weights
-from tuning.optimisers import Optimiser, adam, cosine_decay
-from tuning.pareto import Front, hypervolume, non_dominated, pareto_front
+from tuning.diagnostics.health import audit_sign, check_gradient, lyapunov_exponent
+from tuning.diagnostics.sensitivity import stiff_and_sloppy
+from tuning.objectives.following import FollowLine
+from tuning.objectives.limits import Limits
+from tuning.objectives.line_terms import SPATIAL_BOUNDS, LineTerms, LineWeights, friction_angle
+from tuning.objectives.objective import Members, Objective
+from tuning.objectives.regulation import BOUNDS, SEEKING_BOUNDS, RestToRest, Terms, Weights
+from tuning.objectives.stability import hurwitz_margin
+from tuning.objectives.stages import Annealed
+from tuning.objectives.terms import Term
+from tuning.optimisers.adam import adam, cosine_decay
+from tuning.optimisers.lbfgs import lbfgs
+from tuning.optimisers.levenberg_marquardt import LeastSquares, Quadratic, levenberg_marquardt, linearise, quadratic
+from tuning.optimisers.optimiser import Optimiser
 from tuning.result import TuningResult
-from tuning.robust import Robust, Scenarios, Uncertainty, sample
-from tuning.second_order import LeastSquares, Quadratic, lbfgs, levenberg_marquardt, linearise, quadratic
-from tuning.stability import hurwitz_margin
-from tuning.stages import Annealed
+from tuning.robust.certificate import Certificate, certify, clopper_pearson
+from tuning.robust.pareto import Front, hypervolume, non_dominated, pareto_front
+from tuning.robust.scenarios import Robust, Scenarios, Uncertainty, sample
+from tuning.search import tune
 from tuning.starts import latin_hypercube
-from tuning.terms import Term
-from tuning.transforms import FROZEN, POSITIVE, UNIT, Parametrisation, Transform, bounded, parametrise
-from tuning.tuner import tune, value_and_gradient
+from tuning.transforms import FROZEN, POSITIVE, UNIT, Parametrisation, Transform, bounded, parametrise, value_and_gradient
 
 __all__ = [
-    "Front",
-    "hypervolume",
-    "non_dominated",
-    "pareto_front",
-    "audit_sign",
-    "check_gradient",
-    "lyapunov_exponent",
-    "stiff_and_sloppy",
-    "Certificate",
-    "ClimbTuning",
-    "Sensitivity",
-    "climb_sensitivity",
-    "sensitivity_by_differences",
-    "tune_to_climb",
-    "Robust",
-    "Scenarios",
-    "Uncertainty",
-    "certify",
-    "clopper_pearson",
-    "sample",
-    "BOUNDS",
-    "SEEKING_BOUNDS",
-    "FROZEN",
-    "SPATIAL_BOUNDS",
-    "FollowLine",
-    "LineTerms",
-    "LineWeights",
-    "friction_angle",
-    "POSITIVE",
-    "UNIT",
-    "LeastSquares",
-    "Optimiser",
-    "Parametrisation",
-    "Quadratic",
-    "RestToRest",
-    "Term",
-    "Terms",
-    "Transform",
-    "TuningResult",
-    "Weights",
-    "Annealed",
-    "Limits",
-    "adam",
-    "bounded",
-    "cosine_decay",
-    "hurwitz_margin",
-    "latin_hypercube",
-    "lbfgs",
-    "levenberg_marquardt",
-    "linearise",
-    "parametrise",
-    "quadratic",
-    "tune",
-    "value_and_gradient",
-]
+    "tune", "TuningResult",
+    "RestToRest", "FollowLine", "Robust", "Annealed", "Objective", "Members", "Term", "Limits",
+    "Weights", "Terms", "LineWeights", "LineTerms", "friction_angle", "hurwitz_margin",
+    "BOUNDS", "SEEKING_BOUNDS", "SPATIAL_BOUNDS", "FROZEN", "POSITIVE", "UNIT",
+    "Parametrisation", "Transform", "bounded", "latin_hypercube", "parametrise", "value_and_gradient",
+    "Optimiser", "adam", "cosine_decay", "lbfgs", "levenberg_marquardt", "LeastSquares", "Quadratic", "linearise", "quadratic",
+    "Uncertainty", "Scenarios", "sample", "Certificate", "certify", "clopper_pearson",
+    "Front", "hypervolume", "non_dominated", "pareto_front",
+    "audit_sign", "check_gradient", "lyapunov_exponent", "stiff_and_sloppy",
+    "ClimbTuning", "Sensitivity", "climb_sensitivity", "sensitivity_by_differences", "tune_to_climb",
+]  # fmt: skip

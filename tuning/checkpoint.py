@@ -5,32 +5,45 @@ from __future__ import annotations
 import json
 import os
 import zipfile
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+from jax import Array
 
-from jaxsphere.files import to_plain, write_atomically
+from jaxsphere.files import write_atomically
 
-
-def describe(problem: dict[str, Any]) -> str:
-    """Text that two runs share exactly when they solve the same problem; a function is known by its name."""
-    return json.dumps(to_plain(_named(problem)), sort_keys=True)
+_AGREEMENT = 1e-3  # relative, of a stored best and the same computed by another program
 
 
-def save(path: str | os.PathLike[str], problem: str, batch: Any, history: dict[str, np.ndarray]) -> Path:
-    """Write the state of all starts and the history (name -> (iterations, starts)) atomically."""
+def save(path: str | os.PathLike[str], problem: dict[str, Any], batch: Any, history: dict[str, np.ndarray]) -> Path:
+    """Write a checkpoint atomically and return its path.
+
+    Args:
+        path: of the file.
+        problem: plain content that two searches share exactly when they solve the same problem in the same way.
+        batch: state of all starts, a pytree of arrays.
+        history: name -> (iterations, starts).
+    """
     leaves = {f"leaf_{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(batch))}
-    return write_atomically(path, partial(_write, {"problem": np.array(problem), **leaves, **history}))
+    return write_atomically(path, partial(_write, {"problem": np.array(json.dumps(problem)), **leaves, **history}))
 
 
-def load(path: str | os.PathLike[str], problem: str, batch: Any) -> tuple[Any, dict[str, np.ndarray]]:
-    """Read what `save` wrote; `batch` gives the structure.
+def load(
+    path: str | os.PathLike[str], problem: dict[str, Any], batch: Any, bests: Callable[[Any], Array]
+) -> tuple[Any, dict[str, np.ndarray]]:
+    """Return batch and history as `save` wrote them.
+
+    Args:
+        path, problem: as in `save`.
+        batch: any with the structure of the saved one.
+        bests: batch -> objective of each start (starts,) at the best vector that it has, evaluated anew.
 
     Raises:
-        ValueError: the file is missing, no checkpoint, or of another problem.
+        ValueError: the file is missing, no checkpoint, of another problem, or its best values are not those of its vectors.
     """
     name = os.fspath(path)
     if not Path(path).exists():
@@ -38,16 +51,24 @@ def load(path: str | os.PathLike[str], problem: str, batch: Any) -> tuple[Any, d
     try:
         with np.load(path, allow_pickle=False) as file:
             content = dict(file)
-        saved = str(content.pop("problem"))
+        saved = json.loads(str(content.pop("problem")))
     except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"checkpoint = {name!r} is no checkpoint; type a file that tune(checkpoint=...) wrote") from error
-    if saved != problem:
+    if difference := _difference(saved, json.loads(json.dumps(problem))):
         raise ValueError(
-            f"checkpoint = {name!r} is of another problem (it differs in {_difference(saved, problem)}); type another file, or "
+            f"checkpoint = {name!r} is of another problem (it differs in {difference}); type another file, or "
             "resume=False to overwrite it"
         )
     leaves = [content.pop(f"leaf_{i}") for i in range(len(jax.tree.leaves(batch)))]
-    return jax.tree.unflatten(jax.tree.structure(batch), leaves), content
+    batch = jax.tree.unflatten(jax.tree.structure(batch), leaves)
+    now, then = np.asarray(bests(batch)), batch.best
+    known = np.isfinite(then)
+    if not np.allclose(now[known], then[known], rtol=_AGREEMENT, atol=1e-9):
+        raise ValueError(
+            f"checkpoint = {name!r} says that its best objectives are {then[known].tolist()}, but there they are "
+            f"{now[known].tolist()}; type resume=False to start anew"
+        )
+    return batch, content
 
 
 def _write(content: dict[str, np.ndarray], path: Path) -> None:
@@ -55,18 +76,5 @@ def _write(content: dict[str, np.ndarray], path: Path) -> None:
         np.savez(file, **content)  # type: ignore[arg-type]
 
 
-def _named(content: Any) -> Any:
-    if isinstance(content, dict):
-        return {key: _named(value) for key, value in content.items()}
-    if hasattr(content, "_asdict"):
-        return _named(content._asdict())
-    if hasattr(content, "__dataclass_fields__"):
-        return {"type": type(content).__name__} | {n: _named(getattr(content, n)) for n in content.__dataclass_fields__}
-    if isinstance(content, list | tuple):
-        return [_named(value) for value in content]
-    return getattr(content, "__qualname__", content)
-
-
-def _difference(one: str, other: str) -> str:
-    first, second = json.loads(one), json.loads(other)
-    return ", ".join(sorted(key for key in first.keys() | second.keys() if first.get(key) != second.get(key)))
+def _difference(one: dict[str, Any], other: dict[str, Any]) -> str:
+    return ", ".join(sorted(key for key in one.keys() | other.keys() if one.get(key) != other.get(key)))

@@ -21,11 +21,19 @@ _GAINS = {kind.__name__: kind for kind in (SlidingModeGains, TrackingGains)}
 class TuningResult:
     """What tuning found.
 
-    gains: the best gains seen in any start; objective: their value. initial_gains, initial_objective: where it began.
-    history: "objective" and "gradient_norm", each (iterations, starts). status: "finished", "interrupted" (by Ctrl-C) or
-    "infeasible" (no start keeps the hard limits). names: the free gains. evaluations: rollouts with gradient.
-    bests: best objective of every start (starts,), NaN where it never was finite. answers: the gains of every start there,
-    frozen ones too, name -> (starts,). feasible: which of them keep the limits. limits: what the best gains break, as text.
+    Attributes:
+        gains: the best gains seen in any start that keeps the limits; `objective` is their value.
+        initial_gains, initial_objective: where it began.
+        history: "objective" and "gradient_norm", each (iterations, starts).
+        status: "finished", "interrupted" (by Ctrl-C), "infeasible" (no start keeps the limits) or "zero gradient" (in every
+            free gain wherever it was evaluated: nothing was tuned).
+        names: the free gains.
+        evaluations: rollouts with gradient.
+        optimiser: its name.
+        bests: best objective of every start (starts,), NaN where it never was finite.
+        answers: the gains of every start there, frozen ones too, name -> (starts,).
+        feasible: which of them keep the limits.
+        limits: what the best gains break, as text.
     """
 
     gains: Any
@@ -43,16 +51,11 @@ class TuningResult:
     limits: str = ""
 
     def near_best(self, share: float = 0.02) -> float:
-        """Fraction of the starts whose best objective is within `share` of the best of all."""
+        """Return the fraction of the starts whose best objective is within `share` of the best of all."""
         return float(np.mean(self.bests <= self.objective + share * abs(self.objective))) if self.bests.size else 0.0
 
-    def rollouts_until(self, value: float) -> int | None:
-        """Rollouts with gradient, over all starts, until the first of them is at or below `value`; None if none ever is."""
-        reached = np.any(self.history["objective"] <= value, axis=1)
-        return int((np.argmax(reached) + 1) * self.history["objective"].shape[1]) if reached.any() else None
-
     def report(self) -> str:
-        """Table of the gains and the objective before and after, the starts, and the gains to copy, as text."""
+        """Return a table of the gains and the objective before and after, the starts, and the gains to copy, as text."""
         rows = [f"{'gain':<10}{'before':>12}{'after':>12}"]
         for leaf in fields(self.gains):
             before, after = (float(getattr(gains, leaf.name)) for gains in (self.initial_gains, self.gains))
@@ -65,18 +68,20 @@ class TuningResult:
         )
         if self.status == "infeasible":
             rows.append(f"all {self.bests.size} starts ended infeasible: the best {self.limits}; type wider limits")
+        if self.status == "zero gradient":
+            rows.append("the objective does not change with any free gain: nothing was tuned; type a smooth one")
         copy = ", ".join(f"{leaf.name}={float(getattr(self.gains, leaf.name)):.6g}" for leaf in fields(self.gains))
         rows.append(f"jaxsphere.{type(self.gains).__name__}({copy})")
         return "\n".join(rows)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the result to a JSON file, atomically."""
+        """Write the result to a JSON file, atomically, and return its path."""
         content = {leaf.name: to_plain(getattr(self, leaf.name)) for leaf in fields(self)}
         return write_json(path, {"format": FORMAT, "gains_type": type(self.gains).__name__, **content})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> TuningResult:
-        """Read a result that `save` wrote. Raises ValueError if the file is none."""
+        """Return a result that `save` wrote. Raises ValueError if the file is none."""
         try:
             content = json.loads(Path(path).read_text(encoding="utf-8"))
             kind = _GAINS[content.pop("gains_type")]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +16,8 @@ import numpy as np
 from jax import Array
 
 from jaxsphere import SlidingModeGains, TrackingGains
+from jaxsphere.checks import require_choice
+from tuning.optimisers.levenberg_marquardt import with_jacobian
 
 
 class Transform(NamedTuple):
@@ -27,10 +30,11 @@ class Transform(NamedTuple):
 POSITIVE = Transform(jnp.exp, jnp.log)
 UNIT = Transform(jax.nn.sigmoid, lambda gain: jnp.log(gain) - jnp.log1p(-gain))
 FROZEN = None
+GRADIENTS = ("forward", "reverse")
 
 
 def bounded(low: float, high: float) -> Transform:
-    """Transform of a positive gain between two bounds: its logarithm runs along a sine, as in MINUIT.
+    """Return a transform of a positive gain between two bounds: its logarithm runs along a sine, as in MINUIT.
 
     A search that steps past a bound comes back inside; with a logit it would be lost where the slope is zero.
     """
@@ -65,11 +69,11 @@ class Parametrisation:
         return tuple(self.transforms)
 
     def to_vector(self, gains: Any) -> Array:
-        """Free vector (n,) of the gains."""
+        """Return the free vector (n,) of the gains."""
         return jnp.stack([t.to_free(jnp.asarray(getattr(gains, name), float)) for name, t in self.transforms.items()])
 
     def to_gains(self, vector: Array) -> Any:
-        """Gains of the free vector (n,)."""
+        """Return the gains of a free vector (n,)."""
         free = {name: t.to_gain(vector[i]) for i, (name, t) in enumerate(self.transforms.items())}
         kept = {leaf.name: getattr(self.reference, leaf.name) for leaf in fields(self.reference)}
         return type(self.reference)(**kept | free)
@@ -78,11 +82,12 @@ class Parametrisation:
 def parametrise(
     gains: Any, frozen: Sequence[str] = (), transforms: Mapping[str, Transform | None] | None = None
 ) -> Parametrisation:
-    """Choose the free gains of `gains`.
+    """Return which gains are free, and how they map to a vector.
 
     Args:
         gains: any dataclass of scalar gains; it also gives the values of the frozen ones.
-        frozen: names of gains to keep. transforms: a transform per field, needed for gains of the user's own; overrides.
+        frozen: names of gains to keep.
+        transforms: a transform per field, needed for gains of the user's own; they override the known ones.
 
     Raises:
         ValueError: an unknown name, no transform known, a gain outside its range, or nothing left to tune.
@@ -105,3 +110,25 @@ def parametrise(
         if not jnp.isfinite(value):
             raise ValueError(f"initial gain {name} = {getattr(gains, name)} is outside its range; type an admissible start")
     return chosen
+
+
+def value_and_gradient(
+    objective: Callable[[Any], Array], chosen: Parametrisation, gradient: str = "forward"
+) -> Callable[[Array], tuple[Array, Array]]:
+    """Return a function of the free vector (n,) to the objective and its gradient (n,) there.
+
+    Args:
+        objective: of the gains.
+        chosen: which gains are free, and how they map to the vector.
+        gradient: "forward" pushes the n unit vectors through the rollout: no memory in the horizon, best for a few gains.
+            "reverse" costs the same for any number of gains and recomputes each saved block of the rollout.
+
+    Raises:
+        ValueError: `gradient` is neither.
+    """
+    require_choice("gradient", gradient, GRADIENTS)
+
+    def of_vector(vector: Array) -> Array:
+        return objective(chosen.to_gains(vector))
+
+    return partial(with_jacobian, of_vector) if gradient == "forward" else jax.value_and_grad(of_vector)

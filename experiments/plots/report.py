@@ -16,7 +16,8 @@ import tuning
 from experiments.plots.regulation import phase_plane
 from experiments.plots.style import RC, STYLES, name_axes
 from tuning import TuningResult
-from tuning.health import Audit, Directions, Health
+from tuning.diagnostics.health import Audit, Health
+from tuning.diagnostics.sensitivity import Directions
 
 _LAYOUT = "aaapppttt;ssssqqqqq;vvvvggggg;hhhhxxxxx"
 UNTIL = 10.0  # s

@@ -31,7 +31,7 @@ def reproduce(record: Record, progress: bool = True) -> dict[str, Any]:
     run = partial(js.rest_to_rest, robot, SLOPE, travel=TRAVEL)
     corrected = run(table)
     printed = run(table, convention="printed", throw=False)
-    objective = tuning.Annealed(tuning.RestToRest(robot, SLOPE, TRAVEL, torque_limit=TORQUE_LIMIT))
+    objective = tuning.Annealed(tuning.RestToRest(robot, SLOPE, travel=TRAVEL, torque_limit=TORQUE_LIMIT))
     result = tuning.tune(objective, table, optimiser="lm", starts=8, bounds=tuning.BOUNDS, progress=progress)
     result.save(record.folder / "fig4_tuning.json")
     tuned = run(result.gains, torque_limit=TORQUE_LIMIT)

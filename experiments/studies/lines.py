@@ -55,7 +55,8 @@ def search(
     found = tuning.tune(objective, initial, **options, **settings)
     if not validation_speeds:
         return found
-    return choose(found, objective.robot, float(objective.slope), validation_speeds, objective.torque_limit)
+    task = objective.task
+    return choose(found, task.robot, float(task.slope), validation_speeds, task.torque_limit)
 
 
 def score(
@@ -78,12 +79,12 @@ def score(
     shape = len(gains), len(speeds), len(starts)
     i, j, k = (index.reshape(-1) for index in np.indices(shape))
     stacked = jax.tree.map(lambda *leaves: np.asarray(leaves, np.float64)[i], *gains)
-    figures = js.over_lanes(lane)(stacked, np.asarray(speeds, np.float64)[j], np.asarray(starts, np.float64)[k])
+    figures = js.batch(lane)(stacked, np.asarray(speeds, np.float64)[j], np.asarray(starts, np.float64)[k])
     return Scores(*(np.asarray(figure).reshape(shape) for figure in figures))
 
 
 def choose(
-    result: tuning.TuningResult, robot: js.Robot, slope: float, speeds: Sequence[float], torque_limit: float | None
+    result: tuning.TuningResult, robot: js.Robot, slope: float, speeds: Sequence[float], torque_limit: Any
 ) -> tuning.TuningResult:
     """Result with that of its starts' answers that does best at `speeds`, which the search has not seen.
 

@@ -16,7 +16,7 @@ from jaxsphere.checks import require_count, require_scalar
 def check(settings: PlanarTuning, unlike: Unlike, robot: js.Robot, initial: js.SlidingModeGains) -> None:
     """Raise ValueError for a setting that is not admissible."""
     js.sliding_mode.check_gains(initial)
-    for name in ("tracking_weight", "swing_weight", "torque_weight", "chatter_weight"):
+    for name in ("itae_weight", "swing_weight", "torque_weight", "chatter_weight"):
         require_scalar(name, getattr(settings, name), above=0.0, or_equal=True)
     require_scalar("swing_limit", settings.swing_limit, above=0.0, unit="rad")
     require_scalar("scenarios", unlike.scenarios, above=0.0, or_equal=True)
@@ -29,16 +29,16 @@ def study(
 ) -> Study:
     """Run a study and return what it found. Raises ValueError as `check` and `tuning.tune` do."""
     check(settings, unlike, robot, initial)
-    weights = (settings.tracking_weight, settings.swing_weight, settings.torque_weight, settings.chatter_weight)
+    weights = (settings.itae_weight, settings.swing_weight, settings.torque_weight, settings.chatter_weight)
     nominal = tuning.RestToRest(
         robot,
         settings.slope,
-        settings.travel,
-        settings.duration,
-        settings.dt,
-        settings.smoothing[0] if settings.smoothing else 0.0,
-        settings.torque_limit,
-        settings.swing_limit,
+        travel=settings.travel,
+        duration=settings.duration,
+        dt=settings.dt,
+        smoothing=settings.smoothing[0] if settings.smoothing else 0.0,
+        torque_limit=settings.torque_limit,
+        swing_limit=settings.swing_limit,
         weights=tuning.Weights(*weights),
     )
     objective: Any = nominal
@@ -66,16 +66,16 @@ def examined(
     smoothing: Sequence[float] = (0.2, 0.05),
 ) -> Study:
     """Score the gains before and after with the hard sign; examine those after, unless `smoothing` has no widths (rad/s)."""
-    scoring = SCORING | {"torque_limit": objective.torque_limit, "throw": False}
-    task = (objective.robot, objective.slope)
+    task = objective.task
+    scoring = SCORING | {"torque_limit": task.torque_limit, "throw": False}
     pairs = {"before": result.initial_gains, "after": result.gains}
     return Study(
-        robot=objective.robot,
-        slope=float(objective.slope),
-        travel=float(objective.travel),
+        robot=task.robot,
+        slope=float(task.slope),
+        travel=float(task.travel),
         objective=objective,
         result=result,
-        scored={name: js.rest_to_rest(*task, each, objective.travel, **scoring) for name, each in pairs.items()},
+        scored={name: js.rest_to_rest(task.robot, task.slope, each, task.travel, **scoring) for name, each in pairs.items()},
         certificates=certificates or {},
         health=tuning.check_gradient(objective, result.gains) if smoothing else None,
         audit=tuning.audit_sign(objective, result.gains, smoothing) if smoothing else None,
@@ -117,7 +117,7 @@ def sentences(found: Study) -> list[str]:
         said.append(f"gradient: {found.health.verdict}")
     if found.audit is not None:
         said.append(
-            f"hard sign: the tracking term changes by {100 * found.audit.gap:.1f} % from the widest smoothing, the torque "
+            f"hard sign: the ITAE changes by {100 * found.audit.gap:.1f} % from the widest smoothing, the torque "
             f"travels {found.audit.chatter[-1]:.0f} N m in {found.objective.duration:g} s of chattering (smoothed: "
             f"{found.audit.chatter[0]:.0f})"
         )

@@ -47,7 +47,7 @@ class PlanarTuning(Search):
     stiffness: tuple[float, ...] = setting((1.0, 4.0, 16.0), "", "Factor of the penalties of the limits in each stage")
     torque_limit: float = setting(5.0, "N m", "Limit of the motor")
     swing_limit: float = setting(math.radians(20.0), "rad", "Swing about equilibrium that is penalised beyond")
-    tracking_weight: float = setting(1.0, "", "Of the integral of t |e| / travel")
+    itae_weight: float = setting(1.0, "", "Of the integral of t |e| / travel")
     swing_weight: float = setting(1.0, "", "Of the squared excess swing")
     torque_weight: float = setting(1e-3, "", "Of the integral of the squared torque")
     chatter_weight: float = setting(0.5, "", "Of the squared switching step of the hard sign")
@@ -64,7 +64,7 @@ class Unlike:
     lengths: float = setting(0.0, "", "Half-width of the radius and the pendulum's length, relative")
     slopes: tuple[float, float] | None = setting(None, "rad", "Gentlest and steepest slope; that of the task if not given")
     swing: float = setting(0.0, "rad", "Half-width of the initial swing about equilibrium")
-    late: float = setting(0.0, "", "Probability that torques act one control period late")
+    delayed: float = setting(0.0, "", "Probability that torques act one control period late")
     sensor_bias: tuple[float, float, float, float] = setting(
         (0.0, 0.0, 0.0, 0.0), "rad, rad/s", "Half-widths on alpha, alpha', phi, phi'"
     )
@@ -82,7 +82,7 @@ class Unlike:
             slope=(slope, slope) if self.slopes is None else self.slopes,
             swing=self.swing,
             known=self.known,
-            late=self.late,
+            delayed=self.delayed,
             sensor_bias=self.sensor_bias,
         )
 
@@ -145,6 +145,6 @@ class Map:
     tolerance: float = setting(1e-3, "rad", "Width of the bracket around every bound")
     refine: bool = setting(True, "", "Outcomes: simulate only where neighbours disagree")
     coarse: int | None = setting(16, "", "Outcomes: nodes between the first ones looked at")
-    slope: float = setting(math.radians(10.0), "rad", "Outcomes: slope unless it is an axis")
+    duration: float = setting(60.0, "s", "Simulated time after which a climb is too slow")
     dt: float | None = setting(None, "s", "Time step; the largest that is stable if not given")
     dtype: str = setting("float32", "", "float32 or float64, of the rollouts")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -11,15 +11,13 @@ import numpy as np
 from jax import Array
 
 import jaxsphere as js
-from jaxsphere.checks import require_scalar
-from jaxsphere.simulation.lanes import over_lanes
+from jaxsphere.checks import require_count
 from tuning import starts as drawn
-from tuning.objectives import BOUNDS, RestToRest
-from tuning.second_order import levenberg_marquardt, linearise
+from tuning.objectives.following import FollowLine
+from tuning.objectives.objective import members_of
+from tuning.objectives.regulation import RestToRest
+from tuning.optimisers.levenberg_marquardt import levenberg_marquardt, linearise
 from tuning.transforms import bounded, parametrise
-
-NAMES = ("settling time, s", "peak swing about equilibrium, rad", "effort, (N m)^2 s")
-
 
 # Neighbours are the nearest tenth of the front; how far on their plane a trial lies, standard deviation in their distance.
 _NEAREST, _SPREAD = 0.1, 0.7
@@ -28,7 +26,7 @@ _NEAREST, _SPREAD = 0.1, 0.7
 class Front(NamedTuple):
     """Gains (every leaf (points,)) that no other found gains beat in all three figures (points, 3), by settling time."""
 
-    gains: js.SlidingModeGains
+    gains: Any
     figures: np.ndarray
     tried: int
     rollouts: int  # with gradient
@@ -36,56 +34,68 @@ class Front(NamedTuple):
 
 
 def pareto_front(
-    objective: RestToRest,
-    initial_gains: js.SlidingModeGains,
+    objective: RestToRest | FollowLine,
+    initial_gains: Any,
     *,
     points: int = 96,
     iterations: int = 8,
     rounds: int = 25,
     swing: tuple[float, float] = (0.01, 0.7),
     effort: tuple[float, float] = (1e-4, 0.3),
-    bounds: dict[str, tuple[float, float]] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
     seed: int = 0,
 ) -> Front:
-    """Tune `points` weightings at once by Levenberg-Marquardt, fill in between them, and keep what nothing else dominates.
+    """Tune many weightings at once by Levenberg-Marquardt, fill in between them, and keep what nothing else dominates.
 
-    The best compromises between three figures are a surface in the space of the gains. Each of `rounds` tries 5 `points` more
-    on the planes through neighbours of the front so far, beyond its edge too, by their figures alone.
+    The best compromises between three figures are a surface in the space of the gains. Each round tries more gains on the
+    planes through neighbours of the front so far, beyond its edge too, by their figures alone: the objective's `figures`,
+    scored with the hard sign, a 1 kHz hold and the motor's limit.
 
-    A weighting has its own swing limit (rad, between the two of `swing`) and its own weight of the torque (between the two
-    of `effort`), both even in the logarithm. The figures are scored with the hard sign, a 1 kHz hold and the motor's limit.
+    Args:
+        objective: what is weighted, by its `compromise`.
+        initial_gains: the first start.
+        points: weightings, each with its own limit of the swing and its own weight of the effort.
+        iterations: of Levenberg-Marquardt on each.
+        rounds: of filling in, with 5 `points` gains each.
+        swing: lowest and highest limit of the swing (of the lean along lines), rad; even in the logarithm.
+        effort: lowest and highest weight of the effort, likewise.
+        bounds: of the gains; the objective's own by default.
+        seed: of all draws.
+
+    Returns:
+        The gains and their figures.
 
     Raises:
         ValueError: a range is not admissible, or no gains settle.
     """
-    require_scalar("points", points, above=0)
-    require_scalar("iterations", iterations, above=0)
+    require_count("points", points)
+    require_count("iterations", iterations)
     for name, (low, high) in (("swing", swing), ("effort", effort)):
         if not 0.0 < low < high:
             raise ValueError(f"{name} = ({low}, {high}) is no range; type two increasing positive numbers")
-    limits = BOUNDS if bounds is None else bounds
+    limits = objective.BOUNDS if bounds is None else bounds
     chosen = parametrise(initial_gains, transforms={name: bounded(*ends) for name, ends in limits.items()})
     cube = drawn.latin_hypercube(jax.random.key(seed), points, 2)
     swings = swing[0] * (swing[1] / swing[0]) ** cube[:, 0]
     efforts = effort[0] * (effort[1] / effort[0]) ** cube[:, 1]
-    rule = levenberg_marquardt()
+    rule, cap = levenberg_marquardt(), members_of(objective).largest_residual_gradient
 
     def search(vector: Array, limit: Array, weight: Array) -> Array:
-        task = replace(objective, swing_limit=limit, weights=objective.weights._replace(torque=weight))
+        task = objective.compromise(limit, weight)
 
         def iterate(carry: tuple[Array, Any], _: None) -> tuple[tuple[Array, Any], Array]:
             trial, state = carry
-            seen = linearise(lambda free: task.residuals(chosen.to_gains(free)), trial)
+            seen = linearise(lambda free: task.residuals(chosen.to_gains(free)), trial, cap)
             moved = rule.update(seen, state, trial)
             return moved, moved[0]
 
         return jax.lax.scan(iterate, (vector, rule.init(vector)), None, length=iterations)[1]
 
-    score = over_lanes(lambda vector: figures(objective, jax.tree.map(jnp.asarray, chosen.to_gains(vector))))
+    score = js.batch(lambda vector: objective.figures(jax.tree.map(jnp.asarray, chosen.to_gains(vector))))
     vectors = drawn.across(jax.random.key(seed + 1), chosen.to_vector(initial_gains), points)
-    # What a weighting passes on its way may be as good a compromise as where it ends.
-    passed = jnp.reshape(over_lanes(search)(vectors, swings, efforts), (points * iterations, len(chosen.names)))
-    nothing = _Scored(np.zeros((0, len(chosen.names))), np.zeros((0, len(NAMES))))
+    # Iterates are candidates too.
+    passed = jnp.reshape(js.batch(search)(vectors, swings, efforts), (points * iterations, len(chosen.names)))
+    nothing = _Scored(np.zeros((0, len(chosen.names))), np.zeros((0, 3)))
     front = nothing.joined(_Scored(np.asarray(passed), np.asarray(score(passed))))
     if not len(front.vectors):
         raise ValueError("none of the tuned gains settles within duration; type a longer duration or other bounds")
@@ -132,17 +142,8 @@ def _among_neighbours(key: Array, front: _Scored, count: int) -> np.ndarray:
     return front.vectors[at] + np.sum(share * (neighbours - front.vectors[at]), axis=0)
 
 
-def figures(objective: RestToRest, gains: js.SlidingModeGains) -> Array:
-    """Settling time, peak swing and effort (3,) with the hard sign and a 1 kHz hold; infinite unless the lane is ok."""
-    task = (objective.robot, objective.slope, gains, objective.travel, objective.duration, 1e-3, 0.0, objective.torque_limit)
-    found = js.rest_to_rest(*task, control_period=1e-3, save_every=None, throw=False)
-    metrics = found.metrics
-    three = jnp.stack([metrics.settling_time, metrics.peak_swing, metrics.effort])
-    return jnp.where(found.status == js.Status.OK, three, jnp.inf)
-
-
 def non_dominated(points: np.ndarray) -> np.ndarray:
-    """Mask (n,) of the finite points (n, d) that no other point beats or equals everywhere and beats somewhere."""
+    """Return a mask (n,) of the finite points (n, d) that no other point beats or equals everywhere and beats somewhere."""
     return ~_dominated(points, points) & np.all(np.isfinite(points), axis=1)
 
 
@@ -154,7 +155,7 @@ def _dominated(points: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def hypervolume(points: np.ndarray, reference: np.ndarray) -> float:
-    """Volume that the points (n, d) dominate below `reference` (d,): everything is to be small. By slices, exact."""
+    """Return the volume that the points (n, d) dominate below `reference` (d,): everything is to be small. By slices, exact."""
     inside = points[np.all(points < reference, axis=1)]
     if len(inside) == 0:
         return 0.0

@@ -7,17 +7,21 @@ from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float
 
-import jaxsphere as js
 from jaxsphere.checks import require_scalar
+from tuning.objectives.objective import members_of
 
 
 @dataclass(frozen=True, eq=False)
 class Annealed:
     """An objective in stages; the last one is what is tuned for, and what it is called with.
 
-    objective: a `RestToRest` or a `Robust`. smoothing: epsilon of each stage, rad/s. With a controller held for dt it must
-    exceed eta dt / 2, or the smoothed sign chatters like the hard one. stiffness: factor of the penalties of every stage.
+    Attributes:
+        objective: a `RestToRest`, a `FollowLine` or a `Robust` of one.
+        smoothing: epsilon of each stage, rad/s. With a controller held for dt it must exceed eta dt / 2, or the smoothed sign
+            chatters like the hard one. A `FollowLine` has no sign to smooth.
+        stiffness: factor of the penalties of every stage.
     """
 
     objective: Any
@@ -29,20 +33,25 @@ class Annealed:
         """How many there are."""
         return len(self.smoothing)
 
+    @property
+    def largest_residual_gradient(self) -> float:
+        """See `linearise`."""
+        return members_of(self.objective).largest_residual_gradient
+
     def stage(self, index: Array | int) -> Any:
-        """Objective of one stage; `index` may be traced."""
+        """Return the objective of one stage; `index` may be traced."""
         return self.objective.stiffened(jnp.asarray(self.smoothing)[index], jnp.asarray(self.stiffness)[index])
 
-    def __call__(self, gains: js.SlidingModeGains) -> Array:
-        """Objective of the last stage."""
+    def __call__(self, gains: Any) -> Float[Array, ""]:
+        """Return the objective of the last stage."""
         return self.stage(-1)(gains)
 
-    def residuals(self, gains: js.SlidingModeGains) -> Array:
-        """Residuals of the last stage."""
+    def residuals(self, gains: Any) -> Float[Array, " m"]:
+        """Return the residuals of the last stage."""
         return self.stage(-1).residuals(gains)
 
-    def limits(self, gains: js.SlidingModeGains) -> Any:
-        """Limits of the last stage."""
+    def limits(self, gains: Any) -> Any:
+        """Return the limits of the last stage."""
         return self.stage(-1).limits(gains)
 
     def check(self) -> None:
@@ -57,6 +66,6 @@ class Annealed:
                 require_scalar(name, value, above=0.0)
         self.objective.check()
 
-    def explain(self, gains: js.SlidingModeGains) -> str:
-        """See `RestToRest.explain`."""
+    def explain(self, gains: Any) -> str:
+        """Return a phrase that says when and where the first stage ceases to be finite."""
         return self.stage(0).explain(gains)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -12,8 +13,8 @@ from jax import Array
 
 import jaxsphere as js
 from jaxsphere.checks import require_scalar
-from jaxsphere.simulation.lanes import over_lanes
-from tuning.robust import Scenarios, Uncertainty, sample
+from tuning.objectives.task_objective import SCORING, with_settings
+from tuning.robust.scenarios import Uncertainty, drawn_fields, sample
 
 
 class Certificate(NamedTuple):
@@ -28,10 +29,10 @@ class Certificate(NamedTuple):
     rate: float
     low: float
     high: float
-    settling_times: np.ndarray  # s, (count,), infinite where not settled
+    settling_times: np.ndarray  # s, (count,), infinite where not settled; where a line is followed, the time allowed for it
 
     def sentence(self) -> str:
-        """One sentence for people."""
+        """Return one sentence for people."""
         return (
             f"{self.failures} of {self.count} samples failed ({100 * self.rate:.2f} %, 95 % interval {100 * self.low:.2f} to "
             f"{100 * self.high:.2f} %): {self.not_settled} not settled, {self.ended_early} ended early, {self.over_limits} "
@@ -40,44 +41,57 @@ class Certificate(NamedTuple):
 
 
 def certify(
-    gains: js.SlidingModeGains,
+    gains: Any,
     uncertainty: Uncertainty,
-    nominal: js.Robot | None = None,
+    nominal: js.Robot | js.PlanarTask | js.SpatialTask | None = None,
     *,
     count: int = 2000,
     seed: int = 2000,
     confidence: float = 0.95,
     swing_limit: float = 0.5 * math.pi,
-    **task: Any,
+    lean_limit: float = 0.5 * math.pi,
+    **settings: Any,
 ) -> Certificate:
-    """Count failures of the gains on fresh samples with the hard sign, a 1 kHz hold and the motor's limit.
+    """Return how often the gains fail on fresh samples with the hard sign, a 1 kHz hold and the motor's limit.
 
-    A sample fails when it has not settled to 2 % within the duration, ended early, or swung beyond `swing_limit`. The torque
-    cannot break its limit: it is clipped.
+    A sample fails when it has not settled (or not followed) within the duration, ended early, or swung (or leant) beyond its
+    limit. The torque cannot break its limit: it is clipped.
 
     Args:
-        gains: to certify. uncertainty, nominal: what is drawn. count, seed: of the samples; use a seed that tuning did not.
-        confidence: of the two-sided interval. swing_limit: rad, of |phi|; the horizontal by default.
-        task: as in `rest_to_rest`; 15 s and 5 N m by default.
+        gains: to certify.
+        uncertainty: what is drawn.
+        nominal: the modelled robot of a `PlanarTask`, or a task; `Robot()` by default.
+        count: of the samples.
+        seed: of the samples; use one that tuning did not.
+        confidence: of the two-sided interval.
+        swing_limit: rad, of |phi| in a `PlanarTask`; the horizontal by default.
+        lean_limit: rad, of |theta - pi/2| in a `SpatialTask`.
+        settings: fields of the task and of `Numerics`; 15 s by default, and 5 N m where no task is given.
     """
     require_scalar("swing_limit", swing_limit, above=0.0, unit="rad")
-    nominal = js.Robot() if nominal is None else nominal
-    scenarios, excluded = sample(uncertainty, nominal, count, seed)
-    settings: dict[str, Any] = {"duration": 15.0, "dt": 1e-3, "smoothing": 0.0, "control_period": 1e-3, "torque_limit": 5.0}
-    settings |= task
+    require_scalar("lean_limit", lean_limit, above=0.0, unit="rad")
+    task: Any = nominal
+    if task is None or isinstance(task, js.Robot):
+        task = js.PlanarTask(js.Robot() if task is None else task, torque_limit=5.0)
+    planar = isinstance(task, js.PlanarTask)
+    hard = SCORING | {"duration": 15.0} | ({"smoothing": 0.0} if planar else {}) | settings
+    task, numerics = with_settings(task, js.Numerics(), hard)
+    scenarios, excluded = sample(uncertainty, task, count, seed)
+    drawn = {name: getattr(scenarios, name) for name in drawn_fields(scenarios)}
     numbers = jax.tree.map(lambda leaf: jnp.full((count,), leaf, float), gains)
 
-    def lane(scenario: Scenarios, gains: js.SlidingModeGains) -> tuple[Array, Any]:
-        robot, plant, slope, initial_state, late, bias = scenario
-        options = settings | {"plant": plant, "initial_state": initial_state, "delayed": late, "sensor_bias": bias}
-        found = js.rest_to_rest(robot, slope, gains, save_every=None, throw=False, **options)
+    def lane(fields: dict[str, Any], gains: Any) -> tuple[Array, Any]:
+        found = js.simulate(replace(task, **fields), gains, numerics, throw=False)
         return found.status, found.metrics
 
-    status, metrics = jax.tree.map(np.asarray, over_lanes(lane)(scenarios, numbers))
-    steepest = np.maximum(np.abs(metrics.lowest_swing), np.abs(metrics.highest_swing))
+    status, metrics = jax.tree.map(np.asarray, js.batch(lane)(drawn, numbers))
     not_settled = status == js.Status.NOT_SETTLED
     early = ~np.isin(status, (int(js.Status.OK), int(js.Status.NOT_SETTLED)))
-    over = ~early & (steepest > swing_limit)
+    if planar:
+        beyond = np.maximum(np.abs(metrics.lowest_swing), np.abs(metrics.highest_swing)) > swing_limit
+    else:
+        beyond = metrics.peak_lean > lean_limit
+    over = ~early & beyond
     failures = int(np.sum(not_settled | early | over))
     low, high = (float(bound) for bound in clopper_pearson(failures, count, confidence))
     return Certificate(
@@ -90,12 +104,12 @@ def certify(
         rate=failures / count,
         low=low,
         high=high,
-        settling_times=metrics.settling_time,
+        settling_times=metrics.settling_time if planar else np.where(not_settled | early, np.inf, float(task.settled_after)),
     )
 
 
 def clopper_pearson(failures: int, count: int, confidence: float = 0.95) -> tuple[Array, Array]:
-    """Exact two-sided interval (lowest, highest) of a failure rate of which `failures` of `count` samples were seen."""
+    """Return the exact two-sided interval (lowest, highest) of a failure rate when `failures` of `count` samples failed."""
     require_scalar("confidence", confidence, above=0.0, below=1.0)
     require_scalar("count", count, above=0)
     if not 0 <= failures <= count:

@@ -1,4 +1,4 @@
-"""Is the gradient good? Agreement of its three ways, growth with the horizon, chaos, hard against smooth, stiff and sloppy."""
+"""Is the gradient good? Agreement of its three ways, growth with the horizon, chaos, hard against smooth sign."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 import jaxsphere as js
-from tuning.objectives import RestToRest
-from tuning.second_order import quadratic
-from tuning.transforms import parametrise
-from tuning.tuner import value_and_gradient
+from tuning.objectives.following import FollowLine
+from tuning.objectives.regulation import RestToRest
+from tuning.objectives.task_objective import SCORING, with_settings
+from tuning.transforms import parametrise, value_and_gradient
 
 # A gradient whose ways differ by more than this is not the slope of anything; one that grows faster than this per second
 # loses its meaning within a rollout.
@@ -38,10 +39,14 @@ class Health(NamedTuple):
     verdict: str
 
 
-def check_gradient(
-    objective: RestToRest, gains: js.SlidingModeGains, horizons: Sequence[float] = (1.0, 2.0, 4.0, 8.0)
-) -> Health:
-    """Examine the gradient of `objective` at `gains` and say whether to trust it, clip it or shorten the horizon."""
+def check_gradient(objective: RestToRest | FollowLine, gains: Any, horizons: Sequence[float] = (1.0, 2.0, 4.0, 8.0)) -> Health:
+    """Return whether to trust the gradient of an objective, to clip it or to shorten the horizon.
+
+    Args:
+        objective: to examine.
+        gains: where.
+        horizons: s, at which the growth of the gradient is looked at.
+    """
     chosen = parametrise(gains)
     vector = chosen.to_vector(gains)
     value, slope = jax.jit(value_and_gradient(objective, chosen, "forward"))(vector)
@@ -52,7 +57,8 @@ def check_gradient(
     scale = max(float(np.max(np.abs(forward))), abs(float(value)), 1e-12)
     disagreement = float(max(np.max(np.abs(forward - other)) for other in (reverse, differences))) / scale
     so_far = jax.jit(jax.jacfwd(lambda free: objective.cost_so_far(chosen.to_gains(free))))(vector)
-    rows = np.clip(np.round(np.asarray(horizons) / objective.dt).astype(int), 1, len(so_far) - 1)
+    last = len(so_far) - 1
+    rows = np.clip(np.round(np.asarray(horizons) / objective.duration * last).astype(int), 1, last)
     norms = np.linalg.norm(np.asarray(so_far)[rows], axis=1)
     late = slice(len(horizons) // 2 - 1, None)
     growth = float(np.polyfit(np.asarray(horizons)[late], np.log(np.maximum(norms[late], 1e-300)), 1)[0])
@@ -72,39 +78,36 @@ def _central(function: Callable[[Array], Array], vector: Array, expected: np.nda
     return found[np.argmin(np.max(np.abs(found - expected), axis=1))]
 
 
-def lyapunov_exponent(objective: RestToRest, gains: js.SlidingModeGains) -> Array:
-    """Largest finite-time Lyapunov exponent (1/s) of the closed loop along its trajectory.
+def lyapunov_exponent(objective: RestToRest | FollowLine, gains: Any) -> Float[Array, ""]:
+    """Return the largest finite-time Lyapunov exponent (1/s) of the closed loop along its trajectories.
 
-    A vector is pushed through the Jacobian of every step and normalised; the mean rate at which it grows is the exponent.
+    A vector is pushed through the Jacobian of every step (every hold of a sampled controller) and normalised; the mean rate at
+    which it grows is the exponent.
     """
-    trajectory = objective.rollout(gains)
-    target = trajectory.state[0, 0] + objective.travel
-    options = {"plant": objective.plant, "method": objective.method, "throw": False}
 
-    def step(state: Array) -> Array:
-        held = None if objective.continuous else objective.dt
-        ahead = js.rest_to_rest(
-            objective.robot,
-            objective.slope,
-            gains,
-            target - state[0],
-            objective.dt,
-            objective.dt,
-            objective.smoothing,
-            objective.torque_limit,
-            initial_state=state,
-            control_period=held,
-            **options,
-        )
-        return ahead.state[-1]
+    def of_one(task: Any) -> Array:
+        period, dt = task.control_period, objective.numerics.dt
+        stride = 1 if period is None else round(period / dt)
+        numerics = replace(objective.numerics, save_every=stride)
+        found = js.simulate(task, gains, numerics, throw=False)
+        loop = js.closed_loop_of(task, gains, numerics)
 
-    def push(direction: Array, state: Array) -> tuple[Array, Array]:
-        moved = jax.jvp(step, (state,), (direction,))[1]
-        length = jnp.sqrt(jnp.sum(moved * moved))
-        return moved / length, jnp.log(length)
+        def ahead(state: Array, memory: Array) -> Array:
+            start = loop.init(tuple(state), tuple(memory))
+            end, _ = jax.lax.scan(lambda now, _: (loop.step(now)[0], None), start, None, length=stride)
+            return jnp.stack(end.x)
 
-    _, logarithms = jax.lax.scan(push, jnp.full(4, 0.5), trajectory.state[:-1])
-    return jnp.sum(logarithms) / objective.duration
+        def push(direction: Array, here: tuple[Array, Array]) -> tuple[Array, Array]:
+            state, memory = here
+            moved = jax.jvp(lambda x: ahead(x, memory), (state,), (direction,))[1]
+            length = jnp.sqrt(jnp.sum(moved * moved))
+            return moved / length, jnp.log(length)
+
+        before = found.state[:-1], found.memory[:-1]
+        _, logarithms = jax.lax.scan(push, jnp.full(found.state.shape[1], 0.5), before)
+        return jnp.sum(logarithms) / objective.duration
+
+    return jnp.max(objective.each(of_one))
 
 
 def _verdict(disagreement: float, growth: float, lyapunov: float, duration: float) -> str:
@@ -132,57 +135,25 @@ class Audit(NamedTuple):
     peak_swing: np.ndarray  # rad
     itae: np.ndarray  # s^2
     chatter: np.ndarray  # total variation of the torque, N m
-    gap: float  # relative change of the tracking term from the widest to the hard sign
+    gap: float  # relative change of the ITAE from the widest to the hard sign
 
 
 def audit_sign(objective: RestToRest, gains: js.SlidingModeGains, widths: Sequence[float] = (0.2, 0.05, 0.02)) -> Audit:
-    """Score gains with a 1 kHz hold while the smoothing goes to zero: what tuning with a smooth sign has hidden."""
+    """Return what tuning with a smooth sign has hidden: the gains' score with a 1 kHz hold while the smoothing goes to zero.
+
+    The tracking law of lines has no sign; there is nothing to audit in a `FollowLine`.
+
+    Args:
+        objective: whose task is simulated.
+        gains: to score.
+        widths: smoothings to try before the hard sign, rad/s.
+    """
     every = jnp.array([*widths, 0.0])
+    task, numerics = with_settings(objective.task, objective.numerics, SCORING)
 
     def score(width: Array) -> Any:
-        task = (objective.robot, objective.slope, gains, objective.travel, objective.duration, 1e-3, width)
-        limit = objective.torque_limit
-        return js.rest_to_rest(*task, limit, plant=objective.plant, control_period=1e-3, save_every=None, throw=False).metrics
+        return js.simulate(replace(task, smoothing=width), gains, numerics, throw=False).metrics
 
     found = jax.tree.map(np.asarray, jax.vmap(score)(every))
     gap = float(abs(found.itae[-1] - found.itae[0]) / found.itae[0])
     return Audit(np.asarray(every), found.settling_time, found.peak_swing, found.itae, found.chatter, gap)
-
-
-class Directions(NamedTuple):
-    """Eigenvalues (n,) of the Gauss-Newton Hessian in the logarithms of the gains, stiffest first, and their directions."""
-
-    names: tuple[str, ...]
-    eigenvalues: np.ndarray
-    vectors: np.ndarray  # (n, n), one direction a row
-
-    def sentence(self) -> str:
-        """One sentence for people."""
-        stiff, sloppy = (self._words(row) for row in (0, -1))
-        ratio = self.eigenvalues[0] / max(self.eigenvalues[-1], 1e-300)
-        # A change d of the logarithms raises the objective by d' H d / 2.
-        harmless = float(np.sqrt(0.02 / max(self.eigenvalues[-1], 1e-300)))
-        return (
-            f"what matters most is {stiff}, what matters least is {sloppy}: the first is {ratio:.1e} times as stiff, and along "
-            f"the last the gains may change by a factor of {np.exp(min(harmless, 20.0)):.3g} before the objective rises by 0.01"
-        )
-
-    def _words(self, row: int) -> str:
-        vector = self.vectors[row]
-        named = [(abs(share), share, name) for name, share in zip(self.names, vector, strict=True) if abs(share) > 0.3]
-        first = max(named)[1]
-        return " ".join(f"{'x' if share * first > 0 else '/'} {name}" for _, share, name in sorted(named, reverse=True))[2:]
-
-
-def stiff_and_sloppy(objective: RestToRest, gains: js.SlidingModeGains, names: Sequence[str] = ()) -> Directions:
-    """Directions of the logarithms of the gains (all free ones by default) by how much they matter to the objective."""
-    names = tuple(names) or parametrise(gains).names
-
-    def residuals(logarithms: Array) -> Array:
-        changed = {name: jnp.exp(logarithms[i]) for i, name in enumerate(names)}
-        return objective.residuals(replace(gains, **changed))
-
-    point = jnp.log(jnp.stack([jnp.asarray(getattr(gains, name), float) for name in names]))
-    hessian = jax.jit(lambda free: quadratic(residuals, free).hessian)(point)
-    values, vectors = np.linalg.eigh(np.asarray(hessian))
-    return Directions(names, values[::-1], vectors.T[::-1])

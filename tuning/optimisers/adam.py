@@ -1,29 +1,14 @@
-"""Optimisers as pairs of pure functions (init, update), for vectors of R^n; they scan and vmap."""
+"""Adam, and a learning rate that decays."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
-
-class Optimiser(NamedTuple):
-    """init(vector) -> state, update(seen, state, vector) -> (vector, state).
-
-    needs: what `update` must see at the vector: "gradient", the gradient (n,); "value", a pair (value, gradient);
-    "residuals", a `LeastSquares`. trials: how often `update` itself evaluates the residuals, without derivatives.
-    """
-
-    init: Callable[[Array], Any]
-    update: Callable[[Any, Any, Array], tuple[Array, Any]]
-    needs: str = "gradient"
-    trials: int = 0
-
-    def plain_rollouts(self, size: int) -> int:
-        """Rollouts that one update of `size` unknowns takes when each of the forward mode's tangents counts as one."""
-        return 1 + size + self.trials
+from tuning.optimisers.optimiser import Optimiser
 
 
 class AdamState(NamedTuple):
@@ -41,10 +26,15 @@ def adam(
     epsilon: float = 1e-8,
     clip: float = 10.0,
 ) -> Optimiser:
-    """Adam of Kingma and Ba (2015), with bias correction, on gradients clipped to the norm `clip`.
+    """Return Adam of Kingma and Ba (2015), with bias correction.
 
-    A gradient that is not finite is rejected: vector and state stay as they are. `learning_rate` may be a function of the
-    step count.
+    A gradient that is not finite is rejected: vector and state stay as they are.
+
+    Args:
+        learning_rate: a number, or a function of the step count.
+        beta1, beta2: decay of the averages of the gradient and of its square.
+        epsilon: added to the root of the latter.
+        clip: longest gradient; longer ones are shortened to it.
     """
     rate = learning_rate if callable(learning_rate) else (lambda count: jnp.asarray(learning_rate))
 
@@ -68,7 +58,7 @@ def adam(
 
 
 def cosine_decay(start: float, steps: int, floor: float = 0.05) -> Callable[[Array], Array]:
-    """Learning rate that falls from `start` to `floor * start` along half a cosine over `steps` steps."""
+    """Return a learning rate that falls from `start` to `floor * start` along half a cosine over `steps` steps."""
 
     def rate(count: Array) -> Array:
         progress = jnp.minimum(count / steps, 1.0)

@@ -1,0 +1,1 @@
+"""Adam, L-BFGS and Levenberg-Marquardt as (init, update)."""
