@@ -1,10 +1,11 @@
-"""Trajectory tracking of the spatial robot: equations (47)-(59), in four realisations.
+"""Trajectory tracking of the spatial robot: equations (47)-(59), in five realisations.
 
 The output y = (x, y) is the centre of the sphere. An outer loop with gains k1..k4 asks for its acceleration; what differs is
 how that is turned into two torques (N m):
 
     pendulum_attitude   beyond the paper, the default: limit the demand, lean the pendulum so that gravity gives it (`lean`),
                         and control the two joints. Works on the robot.
+    axis_aligned        beyond the paper: as above, but the demand also damps the coning of the spin axis (`axis_aligned`).
     exact               the torques that give the demand at once. The zero dynamics are unstable: the pendulum leaves.
     pseudo_inverse      (47) as printed, with (53) read as a pseudo-inverse. Unstable.
     ideal               (48) taken literally: the five accelerations are the input and no torque exists. Not a robot.
@@ -26,6 +27,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxsphere.checks import require_choice, require_scalar
+from jaxsphere.controllers import axis_aligned
 from jaxsphere.controllers.lean import Joints, Lean, balancing_lean, joints_to, limit
 from jaxsphere.controllers.references import Pair, Reference, ReferenceFunction
 from jaxsphere.models import spatial
@@ -36,7 +38,10 @@ from jaxsphere.numerics.linear_algebra import dot, solve_pair
 from jaxsphere.robot import Robot
 from jaxsphere.status import ControllerOutput, Status, code
 
-REALISATIONS = ("pendulum_attitude", "exact", "pseudo_inverse", "ideal")
+REALISATIONS = ("pendulum_attitude", "axis_aligned", "exact", "pseudo_inverse", "ideal")
+
+# Those that lean the pendulum and control the two joints.
+BY_ATTITUDE = ("pendulum_attitude", "axis_aligned")
 
 _OUTPUT_PAIR, _JOINT_PAIR = (THETA, PHI), (BETA1, BETA2)
 
@@ -46,8 +51,9 @@ _OUTPUT_PAIR, _JOINT_PAIR = (THETA, PHI), (BETA1, BETA2)
 class TrackingGains:
     """Gains of tracking; the defaults of k1..k4 are Table 4.
 
-    k1, k3 (1/s2): on the errors of x and y. k2, k4 (1/s): on their rates. The others belong to "pendulum_attitude": k_p (1/s2)
-    and k_d (1/s) of both joints, and a_max (m/s2), the largest demand.
+    k1, k3 (1/s2): on the errors of x and y. k2, k4 (1/s): on their rates. The others belong to "pendulum_attitude" and
+    "axis_aligned": k_p (1/s2) and k_d (1/s) of both joints, and a_max (m/s2), the largest demand. With "axis_aligned" k1 and k2
+    act along the path, k3 and k4 across it, and `axis_damping` (zeta) is the damping ratio of the spin axis's coning.
     """
 
     k1: Real = 49.0
@@ -57,6 +63,7 @@ class TrackingGains:
     k_p: Real = 900.0
     k_d: Real = 60.0
     a_max: Real = 1.0
+    axis_damping: Real = 0.35
 
 
 class Signals(NamedTuple):
@@ -188,9 +195,14 @@ def signals(
     """
     velocity = momentum.center_velocity(lumped, state)
     error = tracking_error(reference, state)
-    demand = demanded_acceleration(gains, reference, error, velocity)
-    attitude = realisation == "pendulum_attitude"
-    limited = limit(demand, gains.a_max) if attitude else demand
+    attitude = realisation in BY_ATTITUDE
+    if realisation == "axis_aligned":
+        posture = axis_aligned.posture_of(lumped, state)
+        demand = axis_aligned.demanded_acceleration(lumped, gains, reference, posture, error)
+        limited = axis_aligned.limit(lumped, demand, gains.a_max)
+    else:
+        demand = demanded_acceleration(gains, reference, error, velocity)
+        limited = limit(demand, gains.a_max) if attitude else demand
     lean = balancing_lean(lumped, limited)
     joints = joints_to(state, lean.direction)
     terms = spatial.affine(lumped, state)
@@ -235,7 +247,7 @@ def law(
         now = signals(lumped, gains, reference(time), state, realisation)
         solvable = (now.determinant > 0.0) | (realisation in ("ideal", "pseudo_inverse"))
         status = jnp.where(solvable, resting, code(Status.SINGULAR_DECOUPLING))
-        if realisation == "pendulum_attitude":
+        if realisation in BY_ATTITUDE:
             # Later the nearest lean is kept; at the start there is nothing to recover from.
             status = jnp.where((time <= 0.0) & (now.lean.margin < 0.0), code(Status.INFEASIBLE_LEAN), status)
         return ControllerOutput(now.torque, (), status)
