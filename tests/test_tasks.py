@@ -189,3 +189,10 @@ def test_early_end_raises_with_the_trajectory_so_far(slope):
     np.testing.assert_array_equal(caught.value.trajectory.state, quiet.state)
     traced = jax.vmap(lambda x: js.rest_to_rest(js.Robot(), slope, initial_state=x, duration=0.4, dt=1e-2).status)(start[None])
     assert traced[0] == js.Status.WHIRLING  # a batch never raises
+
+
+def test_a_facade_traces_with_the_robot_and_the_slope_as_plain_numbers():
+    def end(c1):
+        return js.rest_to_rest(js.Robot(), 0.17, js.SlidingModeGains(c1=c1), duration=0.1, dt=1e-2).end_time
+
+    assert jax.jit(end)(0.5) == pytest.approx(0.1)

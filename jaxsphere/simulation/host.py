@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -32,17 +32,17 @@ def is_single(trajectory: Trajectory) -> bool:
     return is_concrete(trajectory.status) and jnp.ndim(trajectory.status) == 0
 
 
-def raise_early_end(trajectory: Trajectory, advice: Mapping[Status, str]) -> Trajectory:
+def raise_early_end(trajectory: Trajectory, advice: Callable[[], Mapping[Status, str]]) -> Trajectory:
     """Raise RolloutError if a single rollout on the host ended early; pass batches and traced rollouts on.
 
     Args:
         trajectory: the rollout.
-        advice: what to change, for every status that is a failure of the task.
+        advice: returns what to change, for every status that is a failure of the task.
     """
-    if is_single(trajectory) and int(trajectory.status) in advice:
-        ended = Status(int(trajectory.status))
+    ended = Status(int(trajectory.status)) if is_single(trajectory) else Status.OK
+    if ended != Status.OK and ended in (sentences := advice()):
         raise RolloutError(
-            f"the rollout ended at {float(trajectory.end_time):.3f} s with status {ended.name.lower()}: {advice[ended]}, "
+            f"the rollout ended at {float(trajectory.end_time):.3f} s with status {ended.name.lower()}: {sentences[ended]}, "
             "or type throw=False to get the trajectory up to there",
             trajectory,
         )

@@ -51,7 +51,7 @@ class PlanarTask:
     torque_limit: Real | None = _leaf(None, "N m", "motor limit; None for none")
     smoothing: Real = _leaf(0.02, "rad/s", "width of the smoothed sign; 0 for the hard sign")
     control_period: Real | None = _leaf(None, "s", "sampling period of the controller, a multiple of dt; None: continuous")
-    delayed: Any = field(default=None, metadata={"help": "each torque acts one control period after its sample"})
+    delayed: Array | bool | None = field(default=None, metadata={"help": "each torque acts one control period later"})
     sensor_bias: Any = _leaf(None, "rad and rad/s", "added to the state that the controller sees (4,)")
     disturbance: Any = _leaf(None, "rad and rad/s", "added to the initial state (4,)")
     convention: str = field(default="corrected", metadata={"static": True, "help": "sign of z in (8): corrected or printed"})
@@ -139,8 +139,7 @@ class PlanarTask:
     def advice(self) -> dict[Status, str]:
         """What to change after a single rollout that ended with one of these statuses."""
         steep = "no swing of the pendulum balances the demand; lower the slope"
-        if is_concrete((self.robot, self.slope)) and jnp.ndim(self.slope) == 0:
-            steep = past_bound(self.robot, self.slope) or steep
+        steep = past_bound(self.robot, self.slope) or steep
         return {
             Status.WHIRLING: "the pendulum went over the top; lower z_u or the slope",
             Status.DIVERGED: "the robot rolled away; check the sign convention, the gains and the torque limit",
@@ -163,7 +162,7 @@ def rest_to_rest(
     plant: Robot | None = None,
     initial_state: Any = None,
     control_period: Real | None = None,
-    delayed: Any = None,
+    delayed: Array | bool | None = None,
     sensor_bias: Any = None,
     convention: str = "corrected",
     method: str = "rk4",

@@ -99,7 +99,7 @@ def simulate(
     if measure is not None:
         return _simulate(task, gains, numerics, measure, False)
     trajectory = _compiled(task, gains, numerics, diagnostics and numerics.save_every is not None)
-    return raise_early_end(trajectory, task.advice()) if throw else trajectory
+    return raise_early_end(trajectory, task.advice) if throw else trajectory
 
 
 def closed_loop_of(task: Any, gains: Any, numerics: Numerics, measure: Measure | None = None) -> ClosedLoop:

@@ -80,7 +80,7 @@ class SpatialTask:
     initial_state: Any = field(default=None, metadata={"unit": "m, rad and their rates", "help": "(12,), in place of both"})
     torque_limit: Real | None = field(default=5.0, metadata={"unit": "N m", "help": "of both motors; None for none"})
     control_period: Real | None = field(default=None, metadata={"unit": "s", "help": "sampling period; None: continuous"})
-    delayed: Any = field(default=None, metadata={"help": "each torque acts one control period after its sample"})
+    delayed: Any = field(default=None, metadata={"help": "each torque acts one control period later"})
     tolerance: Real = field(default=0.05, metadata={"unit": "m", "help": "error above which the reference is not followed"})
     settled_after: Real = field(default=5.0, metadata={"unit": "s", "help": "time allowed for settling"})
     realisation: str = field(default="pendulum_attitude", metadata={"static": True, "help": "one of tracking.REALISATIONS"})
