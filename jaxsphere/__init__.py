@@ -12,7 +12,7 @@ Where the equations live (`grep -rn "Eq. (12)" jaxsphere` finds the home of any 
     (27) - (39)       models.spatial.energy           energies and Lagrangian
     (40)              models.spatial.contact          constraint forces
     (44) - (46)       models.spatial.dynamics         reduced dynamics
-    (47) - (59)       controllers.tracking            trajectory tracking in four realisations
+    (47) - (59)       controllers.tracking            trajectory tracking in five realisations
 
 Symbols:
 
@@ -26,7 +26,7 @@ jax.config.update("jax_enable_x64", True)
 
 from jaxsphere.controllers import references, sliding_mode, tracking  # noqa: E402
 from jaxsphere.controllers.sliding_mode import SlidingModeGains, nonsingularity_margin, sliding_mode_poles  # noqa: E402
-from jaxsphere.controllers.tracking import TrackingGains  # noqa: E402
+from jaxsphere.controllers.tracking import TABLE_4, TrackingGains  # noqa: E402
 from jaxsphere.models import equilibrium, planar, spatial  # noqa: E402
 from jaxsphere.models.equilibrium import (  # noqa: E402
     climbing_bound,
@@ -72,6 +72,7 @@ __all__ = [
     "closed_loop",
     "closed_loop_of",
     "simulate",
+    "TABLE_4",
     "TrackingGains",
     "references",
     "spatial",

@@ -41,7 +41,7 @@ def track_line(
     slope: Real,
     gains: TrackingGains | None = None,
     speed: Real = 0.5,
-    realisation: str = "pendulum_attitude",
+    realisation: str = "axis_aligned",
     duration: float = 20.0,
     dt: float = 1e-3,
     torque_limit: Real | None = 5.0,
@@ -83,11 +83,11 @@ class SpatialTask:
     delayed: Any = field(default=None, metadata={"help": "each torque acts one control period later"})
     tolerance: Real = field(default=0.05, metadata={"unit": "m", "help": "error above which the reference is not followed"})
     settled_after: Real = field(default=5.0, metadata={"unit": "s", "help": "time allowed for settling"})
-    realisation: str = field(default="pendulum_attitude", metadata={"static": True, "help": "one of tracking.REALISATIONS"})
+    realisation: str = field(default="axis_aligned", metadata={"static": True, "help": "one of tracking.REALISATIONS"})
 
     def default_gains(self) -> TrackingGains:
-        """Table 4."""
-        return TrackingGains()
+        """The tuned gains for "axis_aligned", Table 4 for the other realisations."""
+        return TrackingGains() if self.realisation == "axis_aligned" else tracking.TABLE_4
 
     def default_duration(self) -> float:
         """Length of a rollout where none is given, s."""
@@ -169,7 +169,7 @@ def track(
     slope: Real,
     reference: ReferenceFunction,
     gains: TrackingGains | None = None,
-    realisation: str = "pendulum_attitude",
+    realisation: str = "axis_aligned",
     duration: float = 20.0,
     dt: float = 1e-3,
     torque_limit: Real | None = 5.0,
@@ -195,7 +195,7 @@ def track(
         robot: that the controller believes in, and the plant too unless `plant` is given.
         slope: rad.
         reference: time -> position, velocity, acceleration (see `controllers.references`).
-        gains: Table 4 by default.
+        gains: tuned ones for "axis_aligned" by default, `TABLE_4` for the other realisations.
         realisation: one of `tracking.REALISATIONS`.
         start: where the robot rests at first, m; on the reference by default.
         duration, dt, method, save_every, dtype: as in `Numerics`.
