@@ -4,13 +4,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out
 
-.PHONY: reproduce test lint notebooks bench clean
+.PHONY: reproduce test slowest lint notebooks bench clean
 
 reproduce: $(VENV)/run
 	$(BIN)/jaxsphere reproduce --out $(OUT)
 
 test: $(VENV)/dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+slowest: $(VENV)/dev
+	$(BIN)/python -m pytest -n 2 --dist loadfile --durations 10
 
 lint: $(VENV)/dev
 	$(BIN)/ruff check .

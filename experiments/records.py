@@ -5,6 +5,8 @@ from __future__ import annotations
 import platform
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 from matplotlib.figure import Figure
+from tqdm import tqdm
 
 from jaxsphere.files import write_atomically, write_json
 
@@ -40,6 +43,21 @@ class Record:
         write_json(
             self.folder / "manifest.json", {**environment(), "seconds": round(time.time() - self._started, 2), **subject}
         )
+
+
+@contextmanager
+def progress_bar(unit: str, shown: bool) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function of (done, total) that moves a progress bar."""
+    with tqdm(unit=unit, unit_scale=True, disable=not shown) as bar:
+
+        def report(done: int, total: int) -> None:
+            if bar.total != total:
+                bar.reset(total)
+                bar.initial = done  # what was stored before says nothing about the rate
+            bar.n = done
+            bar.refresh()
+
+        yield report
 
 
 def environment() -> dict[str, Any]:

@@ -25,96 +25,72 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 from jaxsphere.controllers import references, sliding_mode, tracking  # noqa: E402
-from jaxsphere.controllers.sliding_mode import SlidingModeGains, nonsingularity_margin, sliding_mode_poles  # noqa: E402
+from jaxsphere.controllers.sliding_mode import SlidingModeGains  # noqa: E402
+from jaxsphere.controllers.sliding_mode import nonsingularity_margin as nonsingularity_margin  # noqa: E402
+from jaxsphere.controllers.sliding_mode import sliding_mode_poles as sliding_mode_poles  # noqa: E402
 from jaxsphere.controllers.tracking import TABLE_4, TrackingGains  # noqa: E402
 from jaxsphere.models import equilibrium, planar, spatial  # noqa: E402
-from jaxsphere.models.equilibrium import (  # noqa: E402
-    climbing_bound,
-    equilibria,
-    equilibrium_swing,
-    zero_dynamics_poles,
-)
-from jaxsphere.robot import Robot, check_robot, robot_named, robots  # noqa: E402
-from jaxsphere.simulation.closed_loop import ClosedLoop, Measure, Plant, closed_loop  # noqa: E402
-from jaxsphere.simulation.host import RolloutError  # noqa: E402
-from jaxsphere.simulation.lanes import over_lanes, use_all_cores  # noqa: E402
-from jaxsphere.simulation.pausable import over_queue  # noqa: E402
-from jaxsphere.simulation.rollout import Trajectory, rollout  # noqa: E402
-from jaxsphere.status import ControllerOutput, Status  # noqa: E402
+from jaxsphere.models.equilibrium import climbing_bound, equilibrium_swing  # noqa: E402
+from jaxsphere.models.equilibrium import equilibria as equilibria  # noqa: E402
+from jaxsphere.models.equilibrium import zero_dynamics_poles as zero_dynamics_poles  # noqa: E402
+from jaxsphere.robot import Robot, robot_named, robots  # noqa: E402
+from jaxsphere.robot import check_robot as check_robot  # noqa: E402
+from jaxsphere.simulation.batch import batch  # noqa: E402
+from jaxsphere.simulation.batch import use_all_cores as use_all_cores  # noqa: E402
+from jaxsphere.simulation.closed_loop import ClosedLoop as ClosedLoop  # noqa: E402
+from jaxsphere.simulation.closed_loop import Measure as Measure  # noqa: E402
+from jaxsphere.simulation.closed_loop import Plant as Plant  # noqa: E402
+from jaxsphere.simulation.closed_loop import closed_loop as closed_loop  # noqa: E402
+from jaxsphere.simulation.host import RolloutError as RolloutError  # noqa: E402
+from jaxsphere.simulation.rollout import Trajectory  # noqa: E402
+from jaxsphere.simulation.rollout import rollout as rollout  # noqa: E402
+from jaxsphere.status import ControllerOutput as ControllerOutput  # noqa: E402
+from jaxsphere.status import Status  # noqa: E402
 from jaxsphere.sweep import axes  # noqa: E402
-from jaxsphere.sweep.results import SweepResults, open_sweep  # noqa: E402
+from jaxsphere.sweep.refine import Boundaries as Boundaries  # noqa: E402
+from jaxsphere.sweep.refine import Guesses as Guesses  # noqa: E402
+from jaxsphere.sweep.results import SweepResults as SweepResults  # noqa: E402
+from jaxsphere.sweep.results import open_sweep  # noqa: E402
 from jaxsphere.sweep.run import sweep  # noqa: E402
-from jaxsphere.sweep.store import SweepError  # noqa: E402
-from jaxsphere.tasks import (  # noqa: E402
-    Climb,
-    Numerics,
-    PlanarTask,
-    SpatialTask,
-    check_climb,
-    climb_outcome,
-    closed_loop_of,
-    outcome_run,
-    require_holdable,
-    rest_to_rest,
-    simulate,
-    slope_search,
-    static_bound_by_release,
-    steepest_slope,
-    track,
-    track_line,
-)
+from jaxsphere.sweep.store import SweepError as SweepError  # noqa: E402
+from jaxsphere.tasks import Numerics, PlanarTask, SpatialTask, rest_to_rest, simulate, steepest_slope, track, track_line  # noqa: E402
+from jaxsphere.tasks import climb_outcome as climb_outcome  # noqa: E402
+from jaxsphere.tasks import closed_loop_of as closed_loop_of  # noqa: E402
+from jaxsphere.tasks import outcome_run as outcome_run  # noqa: E402
+from jaxsphere.tasks import require_holdable as require_holdable  # noqa: E402
+from jaxsphere.tasks import slope_search as slope_search  # noqa: E402
+from jaxsphere.tasks import static_bound_by_release as static_bound_by_release  # noqa: E402
 
+__version__ = "0.1.0"
+
+# The names to begin with, by subject, then the modules. What else can be imported from here is for those who build further.
 __all__ = [
-    "ClosedLoop",
-    "Numerics",
-    "PlanarTask",
-    "SpatialTask",
-    "closed_loop",
-    "closed_loop_of",
-    "simulate",
+    "Robot",
+    "SlidingModeGains",
     "TABLE_4",
     "TrackingGains",
-    "references",
-    "spatial",
+    "rest_to_rest",
     "track",
     "track_line",
-    "tracking",
-    "Climb",
-    "ControllerOutput",
-    "Measure",
-    "Plant",
-    "Robot",
-    "RolloutError",
-    "SlidingModeGains",
-    "Status",
-    "SweepError",
-    "SweepResults",
-    "Trajectory",
-    "axes",
-    "check_climb",
-    "check_robot",
-    "climb_outcome",
-    "equilibrium",
+    "PlanarTask",
+    "SpatialTask",
+    "Numerics",
+    "simulate",
     "climbing_bound",
-    "equilibria",
     "equilibrium_swing",
-    "nonsingularity_margin",
-    "open_sweep",
-    "outcome_run",
-    "over_lanes",
-    "over_queue",
-    "planar",
-    "require_holdable",
-    "rest_to_rest",
-    "robot_named",
-    "robots",
-    "rollout",
-    "sliding_mode",
-    "slope_search",
-    "sliding_mode_poles",
-    "sweep",
-    "static_bound_by_release",
     "steepest_slope",
-    "use_all_cores",
-    "zero_dynamics_poles",
+    "batch",
+    "sweep",
+    "open_sweep",
+    "Trajectory",
+    "Status",
+    "robots",
+    "robot_named",
+    "axes",
+    "equilibrium",
+    "planar",
+    "references",
+    "sliding_mode",
+    "spatial",
+    "tracking",
 ]

@@ -1,7 +1,6 @@
 """Maps of how steep: refinement equals the dense grid, coarse-to-fine equals lane by lane, and the command that draws them."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +10,9 @@ from experiments import cli
 from experiments.studies import climbing_axes as axes
 from experiments.studies import climbing_map as maps
 from jaxsphere.sweep.refine import refine
+from jaxsphere.sweep.store import Store
 
-QUICK = axes.Setting(js.Climb(dt=15e-3))
+QUICK = axes.Setting(numerics=js.Numerics(duration=60.0, dt=15e-3))
 
 
 def disc(rows, columns):
@@ -56,47 +56,49 @@ def test_a_neighbour_uncovers_what_the_corners_hide():
 def test_map_from_coarse_to_fine_equals_every_bound_alone():
     x, y = axes.axis("z_u", 20, 0.75, 0.98), axes.axis("mass_ratio", 18, 0.35, 0.6)
     found = maps.bound_map(QUICK, x, y, 1e-3, progress=False)
-    assert found.finished
     assert np.all(found.upper - found.lower <= 1e-3 * (1.0 + 1e-9))
-    alone = js.over_queue(lambda xv, yv: js.slope_search(axes.at(QUICK, (x, xv), (y, yv)).climb, 1e-5))
+    alone = js.batch(lambda xv, yv: js.slope_search(*axes.at(QUICK, z_u=xv, mass_ratio=yv), tolerance=1e-5), ragged=True)
     xv, yv = np.meshgrid(x.values, y.values)
-    fine = alone(xv.ravel(), yv.ravel()).value.reshape(xv.shape)
+    fine = np.asarray(alone(xv.ravel(), yv.ravel()).value).reshape(xv.shape)
     np.testing.assert_allclose(found.value, fine, atol=0.51e-3)
     assert found.rollouts < 5 * found.value.size  # 12 each without neighbours to begin at
-    confirmed, asked = maps.confirm(axes.Setting(replace(QUICK.climb, duration=60.0)), found, 4)
+    confirmed, asked = maps.confirm(QUICK, found, 4)
     assert confirmed == asked >= 4
 
 
-def test_interrupted_map_keeps_what_is_done(monkeypatch):
-    x, y = axes.axis("z_u", 40, 0.5, 0.98), axes.axis("c1", 40)
-    calls = []
+def test_interrupted_map_goes_on_where_it_was(monkeypatch, tmp_path):
+    x, y = axes.axis("z_u", 6, 0.8, 0.98), axes.axis("c1", 5)
+    whole = maps.bound_map(QUICK, x, y, 1e-2, progress=False)
+    remember, kept = Store.remember, []
 
-    def interrupted(*lanes):
-        if calls:
+    def interrupted(store, batch, record):
+        remember(store, batch, record)
+        kept.append(batch)
+        if len(kept) == 2:
             raise KeyboardInterrupt
-        calls.append(len(lanes[0]))
-        return js.tasks.climbing.SteepestSlope(*(np.full(len(lanes[0]), value) for value in (0.3, 0.2, 0.4, 3, 2, 9.0)))
 
-    monkeypatch.setattr(js, "over_queue", lambda make, capacity: interrupted)
-    found = maps.bound_map(QUICK, x, y, progress=False)
-    assert not found.finished
-    assert np.isfinite(found.value).sum() == calls[0] == 9
-    assert np.sum(found.status >= 0) == 9
+    monkeypatch.setattr(Store, "remember", interrupted)
+    with pytest.raises(KeyboardInterrupt, match=r"interrupted after .* lanes"):
+        maps.bound_map(QUICK, x, y, 1e-2, progress=False, store=tmp_path / "map")
+    monkeypatch.setattr(Store, "remember", lambda store, batch, record: (remember(store, batch, record), kept.append(batch)))
+    found = maps.bound_map(QUICK, x, y, 1e-2, progress=False, store=tmp_path / "map", resume=True)
+    assert kept == sorted(set(kept))  # nothing was computed twice
+    np.testing.assert_array_equal(found.value, whole.value)
 
 
 def test_mass_ratio_keeps_the_total_and_moves_the_bound_as_the_formula_says():
-    robot = axes.at(QUICK, (axes.axis("mass_ratio", 2), 0.3), (axes.axis("length_ratio", 2), 0.5)).climb.robot
+    robot = axes.at(QUICK, mass_ratio=0.3, length_ratio=0.5).task.robot
     assert robot.shell_mass + robot.gimbal_mass + robot.pendulum_mass == pytest.approx(5.1)
     assert js.climbing_bound(robot) == pytest.approx(np.arcsin(0.15))
 
 
 def test_stable_step_keeps_the_smoothed_sign_stable():
     eta = axes.axis("eta", 3, 1.0, 10.0)
-    assert axes.stable_step(js.Climb()) == 15e-3
-    assert axes.stable_step(js.Climb(), eta) * 10.0 / 0.02 < 2.78
-    assert axes.stable_step(js.Climb(smoothing=0.0, control_period=1e-3)) == 1e-3
+    assert axes.stable_step(QUICK) == 15e-3
+    assert axes.stable_step(QUICK, eta) * 10.0 / 0.02 < 2.78
+    assert axes.stable_step(axes.Setting(js.PlanarTask(smoothing=0.0, control_period=1e-3))) == 1e-3
     with pytest.raises(ValueError, match="control-period"):
-        axes.stable_step(js.Climb(smoothing=0.0))
+        axes.stable_step(axes.Setting(js.PlanarTask(smoothing=0.0)))
 
 
 def test_motor_is_blamed_only_where_a_stronger_one_settles():
@@ -123,13 +125,13 @@ def test_map_command_writes_picture_numbers_and_manifest(capsys, tmp_path):
     words = ["map", "--x", "z_u", "--y", "torque_limit", "--size", "3", "--duration", "15", "--no-progress"]
     code, out, err = run(capsys, *words, "--out", str(tmp_path))
     assert code == 0, err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["manifest.json", "map.npz", "map.png", "metrics.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["manifest.json", "map.png", "map.zarr", "metrics.json"]
     numbers = json.loads((tmp_path / "metrics.json").read_text())["map"]
     assert numbers["bounds"] == 9
     assert "rollouts" in out
-    saved = np.load(tmp_path / "map.npz")
-    assert saved["bound"].shape == (3, 3)
-    assert str(saved["x_name"]) == "z_u"
+    saved = js.open_sweep(tmp_path / "map.zarr")
+    assert saved.values["value"].shape == (3, 3)
+    assert saved.dimensions == ("torque_limit", "z_u")
     assert json.loads((tmp_path / "manifest.json").read_text())["settings"]["dt"] == 15e-3
 
 
@@ -141,12 +143,12 @@ FAULTS = [
     (["--size", "0"], "size = 0"),
     (["--tolerance", "0"], "tolerance = 0"),
     (["--x-range", "0.9", "0.2"], "z_u axis ends at = 0.2"),
-    (["--x-range", "-0.1", "0.9"], "gains.z_u = -0.1"),
-    (["--x-range", "0.1", "1.5"], "gains.z_u = 1.5"),
+    (["--x-range", "-0.1", "0.9"], "z_u axis reaches -0.1"),
+    (["--x-range", "0.1", "1.5"], "z_u axis reaches 1.5"),
     (["--smoothing", "0"], "--control-period 1e-3"),
     (["--dtype", "float16"], "float32"),
-    (["--y", "pendulum_length", "--y-range", "0.1", "0.2"], "pendulum_length = 0.2"),
-    (["--of", "outcome", "--slope-deg", "95"], "slope_deg = 95"),
+    (["--y", "pendulum_length", "--y-range", "0.1", "0.2"], "pendulum_length axis reaches 0.2"),
+    (["--of", "outcome", "--slope-deg", "95"], "--slope-deg = 95"),
     (["--travel", "0"], "travel = 0"),
     (["--duration", "0"], "duration = 0"),
 ]

@@ -11,7 +11,6 @@ import pytest
 
 import jaxsphere as js
 import tuning
-from tuning import tuner
 
 TABLE_3 = js.SlidingModeGains()
 
@@ -188,10 +187,10 @@ def test_interrupt_before_anything_is_known_passes_on(monkeypatch):
 
 def interrupt_at(monkeypatch, chunk):
     """Press Ctrl-C as the given chunk begins."""
-    batched = tuner.over_lanes
+    batched = js.batch
 
-    def over_lanes(function, *settings):
-        run, calls = batched(function, *settings), iter(range(1, chunk + 1))
+    def batch(function, **settings):
+        run, calls = batched(function, **settings), iter(range(1, chunk + 1))
 
         def interrupted(*arguments):
             if next(calls) == chunk:
@@ -200,7 +199,7 @@ def interrupt_at(monkeypatch, chunk):
 
         return interrupted
 
-    monkeypatch.setattr(tuner, "over_lanes", over_lanes)
+    monkeypatch.setattr(js, "batch", batch)
 
 
 BAD = {

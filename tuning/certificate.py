@@ -12,7 +12,6 @@ from jax import Array
 
 import jaxsphere as js
 from jaxsphere.checks import require_scalar
-from jaxsphere.simulation.lanes import over_lanes
 from tuning.robust import Scenarios, Uncertainty, sample
 
 
@@ -73,7 +72,7 @@ def certify(
         found = js.rest_to_rest(robot, slope, gains, save_every=None, throw=False, **options)
         return found.status, found.metrics
 
-    status, metrics = jax.tree.map(np.asarray, over_lanes(lane)(scenarios, numbers))
+    status, metrics = jax.tree.map(np.asarray, js.batch(lane)(scenarios, numbers))
     steepest = np.maximum(np.abs(metrics.lowest_swing), np.abs(metrics.highest_swing))
     not_settled = status == js.Status.NOT_SETTLED
     early = ~np.isin(status, (int(js.Status.OK), int(js.Status.NOT_SETTLED)))

@@ -12,7 +12,6 @@ from jax import Array
 
 import jaxsphere as js
 from jaxsphere.checks import require_scalar
-from jaxsphere.simulation.lanes import over_lanes
 from tuning import starts as drawn
 from tuning.objectives import BOUNDS, RestToRest
 from tuning.second_order import levenberg_marquardt, linearise
@@ -81,10 +80,10 @@ def pareto_front(
 
         return jax.lax.scan(iterate, (vector, rule.init(vector)), None, length=iterations)[1]
 
-    score = over_lanes(lambda vector: figures(objective, jax.tree.map(jnp.asarray, chosen.to_gains(vector))))
+    score = js.batch(lambda vector: figures(objective, jax.tree.map(jnp.asarray, chosen.to_gains(vector))))
     vectors = drawn.across(jax.random.key(seed + 1), chosen.to_vector(initial_gains), points)
     # What a weighting passes on its way may be as good a compromise as where it ends.
-    passed = jnp.reshape(over_lanes(search)(vectors, swings, efforts), (points * iterations, len(chosen.names)))
+    passed = jnp.reshape(js.batch(search)(vectors, swings, efforts), (points * iterations, len(chosen.names)))
     nothing = _Scored(np.zeros((0, len(chosen.names))), np.zeros((0, len(NAMES))))
     front = nothing.joined(_Scored(np.asarray(passed), np.asarray(score(passed))))
     if not len(front.vectors):

@@ -13,8 +13,8 @@ import numpy as np
 from jax import Array
 from tqdm.auto import tqdm
 
+import jaxsphere as js
 from jaxsphere.checks import require_choice, require_count, require_scalar
-from jaxsphere.simulation.lanes import over_lanes
 from tuning import checkpoint as checkpoints
 from tuning import starts as drawn
 from tuning.optimisers import Optimiser, adam, cosine_decay
@@ -155,7 +155,7 @@ def tune(
         after = _Start(vector, state, jnp.where(better, start.vector, start.best_vector), best, start.done + 1)
         return after, (value, jnp.sqrt(jnp.sum(slope * slope)))
 
-    run = over_lanes(lambda start: jax.lax.scan(iterate, start, None, length=chunk))
+    run = js.batch(lambda start: jax.lax.scan(iterate, start, None, length=chunk))
     batch = _Start(
         vectors, jax.vmap(rule.init)(vectors), vectors, jnp.full((starts,), jnp.inf, float), jnp.zeros((starts,), int)
     )
@@ -183,7 +183,7 @@ def tune(
     answers = jax.vmap(chosen.to_gains)(batch.best_vector)
     bests = np.asarray(batch.best)
     judge = getattr(at(stages - 1), "limits", None)
-    limits = None if judge is None else jax.tree.map(np.asarray, over_lanes(judge)(answers))
+    limits = None if judge is None else jax.tree.map(np.asarray, js.batch(judge)(answers))
     feasible = np.ones(starts, bool) if limits is None else np.asarray(limits.feasible)
     if status == "finished" and not feasible.any():
         status = "infeasible"

@@ -16,7 +16,6 @@ from experiments.plots.style import bars_figure
 from experiments.records import Record
 from jaxsphere.models import planar
 from jaxsphere.models.equilibrium import equilibrium_swing
-from jaxsphere.simulation.lanes import over_lanes
 
 DT = 5e-3
 SLOPE = float(np.deg2rad(10.0))
@@ -51,7 +50,7 @@ def _rollouts(lanes: int, steps: int, dtype: Any) -> Callable[[], Any]:
         trajectory = js.rest_to_rest(js.Robot(), slope, duration=steps * DT, dt=DT, save_every=None, dtype=dtype, throw=False)
         return trajectory.state[-1], trajectory.status
 
-    batch, slopes = over_lanes(lane), jnp.linspace(0.01, 0.31, lanes, dtype=dtype)
+    batch, slopes = js.batch(lane), jnp.linspace(0.01, 0.31, lanes, dtype=dtype)
     return lambda: batch(slopes)
 
 
@@ -81,7 +80,7 @@ def _diffrax(lanes: int, steps: int) -> Callable[[], Any]:
         assert solution.ys is not None
         return solution.ys[0]
 
-    batch, slopes = over_lanes(lane), jnp.linspace(0.01, 0.31, lanes)
+    batch, slopes = js.batch(lane), jnp.linspace(0.01, 0.31, lanes)
     return lambda: batch(slopes)
 
 
@@ -122,7 +121,7 @@ def _tracking(lanes: int, steps: int, control_period: float | None) -> Callable[
         trajectory = js.track_line(js.Robot(), SLOPE, None, speed, duration=steps * 1e-3, dt=1e-3, **options)
         return trajectory.state[-1], trajectory.status
 
-    batch, speeds = over_lanes(lane), jnp.linspace(0.2, 1.0, lanes)
+    batch, speeds = js.batch(lane), jnp.linspace(0.2, 1.0, lanes)
     return lambda: batch(speeds)
 
 

@@ -20,7 +20,6 @@ import jaxsphere as js
 import tuning
 from experiments.plots.search import fronts_figure
 from experiments.records import Record
-from jaxsphere.simulation.lanes import over_lanes
 from tuning import pareto
 
 REFERENCE = np.array([8.0, 0.7, 60.0])  # s, rad, (N m)^2 s: worse than any useful gains
@@ -70,7 +69,7 @@ def _chosen() -> tuning.Parametrisation:
 def _scoring(objective: tuning.RestToRest) -> Figures:
     """Free vectors (n, 6) -> settling, swing and effort (n, 3), by the same function that scores our front."""
     chosen = _chosen()
-    batch = over_lanes(lambda vector: pareto.figures(objective, chosen.to_gains(vector)))
+    batch = js.batch(lambda vector: pareto.figures(objective, chosen.to_gains(vector)))
     return lambda vectors: np.asarray(batch(jnp.asarray(vectors)))
 
 
@@ -138,7 +137,7 @@ def scalarised(objective: tuning.RestToRest, budget: int, seed: int = 0) -> np.n
         found = task(chosen.to_gains(vector))
         return jnp.where(jnp.isfinite(found), found, 1e6)
 
-    batch = over_lanes(value)
+    batch = js.batch(value)
     seen: list[np.ndarray] = []
     box = [(-0.5 * np.pi, 0.5 * np.pi)] * len(chosen.names)
     generations = max(1, budget // (WEIGHTINGS * POPULATION) - 1)

@@ -13,7 +13,7 @@ import tyro
 from experiments.cli.options import as_typed
 from experiments.cli.spec import fill, read_toml, take_spec
 from jaxsphere import RolloutError, SweepError
-from jaxsphere.simulation.lanes import use_all_cores
+from jaxsphere.simulation.batch import use_all_cores
 
 # Name -> the file of this folder whose COMMANDS has it, and what it does; a file is imported when its command runs.
 COMMANDS = {

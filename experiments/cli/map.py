@@ -16,9 +16,9 @@ from experiments.studies import climbing_axes as axes
 from experiments.studies import climbing_map as maps
 from experiments.studies.settings import Map
 from jaxsphere.checks import require_choice, require_count, require_scalar
-from jaxsphere.files import write_atomically
 
 SAMPLE = 100
+STORE = "map.zarr"
 
 
 def draw(chosen: Any) -> None:
@@ -38,31 +38,29 @@ def draw(chosen: Any) -> None:
         axes.axis(name, wanted.size, *(ends or ())) for name, ends in ((wanted.x, wanted.x_range), (wanted.y, wanted.y_range))
     )
     gains = js.SlidingModeGains(**arguments(chosen.gains))
-    names = ("travel", "torque_limit", "smoothing", "duration", "control_period")
-    climb = js.Climb(robot=robot(chosen.robot), gains=gains, **{name: settings[name] for name in names})
-    climb = replace(climb, dt=wanted.dt or axes.stable_step(climb, x, y))
-    setting = axes.Setting(climb, settings["slope"], wanted.dtype)
+    names = ("slope", "travel", "torque_limit", "smoothing", "control_period", "initial_state", "delayed", "sensor_bias")
+    task = js.PlanarTask(robot=robot(chosen.robot), **{name: settings[name] for name in names})
+    setting = axes.Setting(task, gains, js.Numerics(duration=wanted.duration, dtype=wanted.dtype))
+    setting = setting._replace(numerics=replace(setting.numerics, dt=wanted.dt or axes.stable_step(setting, x, y)))
     axes.check(setting, x, y)
     record = Record(chosen.out)
     numbers = (_bound if wanted.of == "bound" else _outcome)(record, setting, x, y, chosen)
-    settings = {**vars(wanted), "dt": climb.dt}
-    record.finish({"map": numbers}, robot=climb.robot, gains=climb.gains, settings=settings)
+    settings = {**vars(wanted), "dt": setting.numerics.dt}
+    record.finish({"map": numbers}, robot=task.robot, gains=gains, settings=settings)
     for name, value in numbers.items():
         print(f"  {name:<36}{value}")
-    print(f"map.png, map.npz, metrics.json and manifest.json are in {record.folder}")
+    print(f"map.png, metrics.json and manifest.json are in {record.folder}, all nodes in {STORE} there, for js.open_sweep")
 
 
 def _bound(record: Record, setting: axes.Setting, x: axes.Axis, y: axes.Axis, chosen: Any) -> dict[str, Any]:
     wanted = chosen.map
-    found = maps.bound_map(setting, x, y, wanted.tolerance, chosen.progress)
-    _save(record, x, y, bound=found.value, lower=found.lower, upper=found.upper, status=found.status)
+    store = record.folder / STORE
+    found = maps.bound_map(setting, x, y, wanted.tolerance, chosen.progress, store, chosen.resume)
     record.picture("map", plots.bound_figure(found, "Steepest slope that the closed loop climbs"))
-    done = int(np.sum(found.status >= 0))
-    numbers = {
-        "finished": str(found.finished).lower(),
-        "bounds": done,
+    numbers: dict[str, Any] = {
+        "bounds": found.value.size,
         "rollouts": found.rollouts,
-        "rollouts_per_bound": found.rollouts / max(done, 1),
+        "rollouts_per_bound": found.rollouts / found.value.size,
         "simulated_seconds": found.seconds,
     }
     climbed = np.isfinite(found.value)
@@ -71,7 +69,6 @@ def _bound(record: Record, setting: axes.Setting, x: axes.Axis, y: axes.Axis, ch
             "least_deg": float(np.rad2deg(np.nanmin(found.value))),
             "largest_deg": float(np.rad2deg(np.nanmax(found.value))),
         }
-    if climbed.any() and found.finished:
         confirmed, asked = maps.confirm(setting, found, SAMPLE)
         odd, looked = maps.not_monotone(setting, found, SAMPLE)
         numbers |= {"bracket_ends_confirmed_in_full": f"{confirmed} of {asked}", "not_monotone_in_slope": f"{odd} of {looked}"}
@@ -80,8 +77,7 @@ def _bound(record: Record, setting: axes.Setting, x: axes.Axis, y: axes.Axis, ch
 
 def _outcome(record: Record, setting: axes.Setting, x: axes.Axis, y: axes.Axis, chosen: Any) -> dict[str, Any]:
     coarse = chosen.map.coarse if chosen.map.refine else None
-    found = maps.outcome_map(setting, x, y, coarse)
-    _save(record, x, y, outcome=found.outcome, simulated=found.simulated)
+    found = maps.outcome_map(setting, x, y, coarse, chosen.progress, record.folder / STORE, chosen.resume)
     at = "" if "slope" in (x.name, y.name) else f" on {chosen.map.slope_deg:g}°"
     record.picture("map", plots.outcome_figure(found, f"How climbs end{at}"))
     rollouts = int(found.simulated.sum())
@@ -89,12 +85,14 @@ def _outcome(record: Record, setting: axes.Setting, x: axes.Axis, y: axes.Axis, 
     return {"nodes": found.outcome.size, "simulated": rollouts, "times_fewer": found.outcome.size / rollouts, **counts}
 
 
-def _save(record: Record, x: axes.Axis, y: axes.Axis, **arrays: np.ndarray) -> None:
-    content = {**arrays, "x": x.values, "y": y.values, "x_name": np.array(x.name), "y_name": np.array(y.name)}
-    write_atomically(record.folder / "map.npz", lambda path: np.savez_compressed(path, **content))  # type: ignore[arg-type]
-
-
-MapOptions = options("MapOptions", Map, js.Climb, without=("robot", "gains", "plant", "early", "disturbance"))
+MapOptions = options("MapOptions", Map, js.PlanarTask, without=("robot", "plant", "disturbance", "convention"))
 COMMANDS = {
-    "map": command(draw, robot=RobotOptions, gains=PlanarGains, map=MapOptions, progress=(bool, True, "Show a progress bar"))
+    "map": command(
+        draw,
+        robot=RobotOptions,
+        gains=PlanarGains,
+        map=MapOptions,
+        resume=(bool, False, f"Finish the map that OUT/{STORE} holds"),
+        progress=(bool, True, "Show a progress bar"),
+    )
 }

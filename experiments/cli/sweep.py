@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from typing import Any
 
 import numpy as np
 import tyro
-from tqdm import tqdm
 
 import jaxsphere as js
 from experiments.cli.options import command
 from experiments.cli.sweep_spec import read_spec
-from experiments.records import Record
+from experiments.records import Record, progress_bar
 
 
 def sweep(options: Any) -> None:
@@ -24,7 +22,7 @@ def sweep(options: Any) -> None:
     spec = read_spec(options.spec)
     record = Record(options.out)
     store = record.folder / "store"
-    with tqdm(unit="lane", unit_scale=True, disable=not options.progress) as bar:
+    with progress_bar("lane", options.progress) as report:
         results = js.sweep(
             spec.task,
             spec.base,
@@ -34,7 +32,7 @@ def sweep(options: Any) -> None:
             chunk=spec.chunk,
             store=store,
             resume=options.resume,
-            progress=functools.partial(_show, bar),
+            progress=report,
         )
     counts = {status.name.lower(): count for status, count in results.counts().items()}
     numbers = {"lanes": results.lanes, "shape": results.shape, "axes": results.dimensions, "statuses": counts}
@@ -66,14 +64,6 @@ def summary(results: js.SweepResults) -> dict[str, dict[str, float]]:
         values = [float(row(kept)) if len(kept) else math.nan for row in rows]
         found[name] = dict(zip(("least", "median", "largest"), values, strict=True))
     return found
-
-
-def _show(bar: Any, done: int, total: int) -> None:
-    if bar.total != total:
-        bar.reset(total)
-        bar.initial = done  # what was stored before says nothing about the rate
-    bar.n = done
-    bar.refresh()
 
 
 COMMANDS = {

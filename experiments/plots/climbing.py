@@ -41,17 +41,16 @@ class Axis(NamedTuple):
 
 
 class BoundMap(NamedTuple):
-    """gamma* (rad) over two axes, rows along y: NaN where the flat is not climbed or the map was interrupted."""
+    """gamma* (rad) over two axes, rows along y: NaN where the flat is not climbed."""
 
     x: Axis
     y: Axis
     value: np.ndarray
     lower: np.ndarray  # seen to succeed, at most the tolerance below `upper`
     upper: np.ndarray  # seen to fail, or the bound (4)
-    status: np.ndarray  # Status at `upper`, OK where that is the bound (4), -1 where not done
+    status: np.ndarray  # Status at `upper`, OK where that is the bound (4)
     rollouts: int
     seconds: float  # simulated in all of them
-    finished: bool
 
 
 class OutcomeMap(NamedTuple):
@@ -113,7 +112,7 @@ def bound_figure(found: BoundMap, title: str, mark: tuple[float, float, str] | N
         surface.clabel(lines, fmt="%.3g°", fontsize=7)
     fig.colorbar(image, ax=surface, label="closed-loop bound γ* (deg)")
     shown = np.where(np.isnan(found.value), -1, found.status)
-    _draw_classes(fate, shown, extent, "how climbs end just above γ*", {-1: ("flat not climbed, or not done", "#d9d9d9")})
+    _draw_classes(fate, shown, extent, "how climbs end just above γ*", {-1: ("flat not climbed", "#d9d9d9")})
     for panel in (surface, fate):
         if mark is not None:
             panel.plot(*mark[:2], "*", color="white", markeredgecolor="black", markersize=12, label=mark[2])

@@ -19,9 +19,9 @@ from tuning import climbing
 
 TORQUE_LIMIT = 5.0
 # Rollouts that only decide between settling and failing; the step is at most what the smoothed sign allows.
-QUICK = js.Climb(dt=1e-2)
+QUICK = js.Numerics(duration=60.0, dt=1e-2)
 # How gains are scored, whatever they were tuned with.
-SCORING: dict[str, Any] = {"smoothing": 0.0, "dt": 1e-3, "control_period": 1e-3, "torque_limit": TORQUE_LIMIT, "early": False}
+SCORING = js.PlanarTask(smoothing=0.0, control_period=1e-3, torque_limit=TORQUE_LIMIT)
 SHARE = 0.99
 ROBOTS = 1024
 
@@ -61,7 +61,7 @@ def random_robots(count: int, seed: int = 0) -> js.Robot:
 
 def _release(record: Record) -> dict[str, Any]:
     robots = random_robots(ROBOTS)
-    found = js.over_lanes(js.static_bound_by_release)(robots)
+    found = js.batch(js.static_bound_by_release)(robots)
     bound = np.asarray(jax.vmap(js.climbing_bound)(robots))
     record.picture("bound_release", plots.release_figure(bound, np.asarray(found.value)))
     worst = float(np.max(np.abs(found.value - bound)))
@@ -76,8 +76,11 @@ def _release(record: Record) -> dict[str, Any]:
 
 def _table_3() -> dict[str, Any]:
     """gamma* of Table 3 over the full 60 s, at 1 ms and at half that; a coarser one only says where to look."""
-    guess = float(js.steepest_slope(QUICK, 1e-9).value)
-    found = {dt: js.steepest_slope(js.Climb(dt=dt, early=False), 1e-9, guess) for dt in (1e-3, 5e-4)}
+    guess = float(js.steepest_slope(js.PlanarTask(), None, QUICK, tolerance=1e-9).value)
+    found = {
+        dt: js.steepest_slope(js.PlanarTask(), None, replace(QUICK, dt=dt), tolerance=1e-9, guess=guess, early=False)
+        for dt in (1e-3, 5e-4)
+    }
     degrees = {dt: float(np.rad2deg(bound.value)) for dt, bound in found.items()}
     static = float(np.rad2deg(js.climbing_bound(js.Robot())))
     moved = abs(degrees[1e-3] - degrees[5e-4])
@@ -108,8 +111,9 @@ def _scan(slopes: int = 150, sets: int = 64) -> dict[str, Any]:
     gains = jax.tree.map(lambda table, drawn: np.concatenate([[table], drawn]), js.SlidingModeGains(), gains)
     lanes = jax.tree.map(lambda leaf: np.repeat(leaf, slopes), gains)
     slope = np.tile(np.linspace(0.0, bound, slopes), sets + 1)
-    run = js.over_queue(lambda gains, slope: js.outcome_run(replace(QUICK, gains=gains, dt=5e-3), slope))
-    settled = (run(lanes, slope).status == js.Status.OK).reshape(sets + 1, slopes)
+    fine = replace(QUICK, dt=5e-3)
+    run = js.batch(lambda gains, slope: js.outcome_run(js.PlanarTask(slope=slope), gains, fine), ragged=True)
+    settled = (np.asarray(run(lanes, slope).status) == js.Status.OK).reshape(sets + 1, slopes)
     changes = np.sum(settled[:, 1:] != settled[:, :-1], axis=1)
     odd = np.flatnonzero(changes > 1)
     return {
@@ -125,7 +129,7 @@ def _scan(slopes: int = 150, sets: int = 64) -> dict[str, Any]:
 
 def _bound_map(record: Record, progress: bool, size: int = 64, sample: int = 64) -> dict[str, Any]:
     x, y = axes.axis("z_u", size), axes.axis("pendulum_mass", size)
-    setting = axes.Setting(replace(QUICK, dt=axes.stable_step(QUICK)), dtype="float32")
+    setting = axes.Setting(numerics=replace(QUICK, dt=axes.stable_step(axes.Setting()), dtype="float32"))
     found = maps.bound_map(setting, x, y, progress=progress)
     title = "Steepest slope that the closed loop climbs: Table 3 but for z_U and the pendulum's mass"
     record.picture("bound_map", plots.bound_figure(found, title, (0.9626, 2.05, "Table 3, set A")))
@@ -146,7 +150,7 @@ def _bound_map(record: Record, progress: bool, size: int = 64, sample: int = 64)
 
 def _outcome_maps(record: Record, size: int = 144) -> dict[str, Any]:
     x, y = axes.axis("torque_limit", size), axes.axis("slope", size)
-    setting = axes.Setting(replace(QUICK, dt=axes.stable_step(QUICK)), dtype="float32")
+    setting = axes.Setting(numerics=replace(QUICK, dt=axes.stable_step(axes.Setting()), dtype="float32"))
     refined = maps.outcome_map(setting, x, y)
     dense = maps.outcome_map(setting, x, y, coarse=None)
     record.picture(
@@ -167,10 +171,13 @@ def _outcome_maps(record: Record, size: int = 144) -> dict[str, Any]:
 
 
 def _sensitivities(record: Record) -> dict[str, Any]:
-    found = climbing.climb_sensitivity(QUICK, tolerance=1e-9)
-    differences = climbing.sensitivity_by_differences(QUICK, found.names, tolerance=1e-8)
+    task, gains = js.PlanarTask(), js.SlidingModeGains()
+    found = climbing.climb_sensitivity(task, gains, QUICK, tolerance=1e-9)
+    differences = climbing.sensitivity_by_differences(task, gains, found.names, QUICK, tolerance=1e-8)
     none = jnp.zeros(len(found.names))
-    static = jax.jacfwd(lambda logarithms: js.climbing_bound(climbing.scaled(QUICK, found.names, logarithms).robot))(none)
+    static = jax.jacfwd(lambda logarithms: js.climbing_bound(climbing.scaled(task, gains, found.names, logarithms)[0].robot))(
+        none
+    )
     record.picture("bound_sensitivity", plots.sensitivity_figure(found, differences, np.asarray(static)))
     worst = float(np.max(np.abs(found.derivative - differences)) / np.max(np.abs(differences)))
     per_cent = dict(zip(found.names, 0.01 * np.rad2deg(found.derivative), strict=True))
@@ -190,17 +197,15 @@ def _sensitivities(record: Record) -> dict[str, Any]:
 
 def _tuned(record: Record, progress: bool) -> dict[str, Any]:
     found = climbing.tune_to_climb(
-        replace(QUICK, torque_limit=TORQUE_LIMIT), rounds=3, iterations=25, dt=1.6e-2, progress=progress
+        js.PlanarTask(torque_limit=TORQUE_LIMIT), None, QUICK, rounds=3, iterations=25, dt=1.6e-2, progress=progress
     )
-    scored = js.steepest_slope(js.Climb(gains=found.gains, **SCORING), 2e-5, found.bounds[-1])
+    minute = js.Numerics(duration=60.0)
+    scored = js.steepest_slope(SCORING, found.gains, minute, tolerance=2e-5, guess=found.bounds[-1], early=False)
     slope = SHARE * found.static_bound
-    hard = {name: value for name, value in SCORING.items() if name != "early"} | {
-        "duration": 60.0,
-        "save_every": 5,  # odd: every other sample of a chattering torque has the same sign
-        "throw": False,
-    }
+    # Odd: every other sample of a chattering torque has the same sign.
+    sampled = replace(minute, save_every=5)
     runs = {
-        name: js.rest_to_rest(js.Robot(), slope, gains, 10.0, **hard)
+        name: js.simulate(replace(SCORING, slope=slope), gains, sampled, throw=False)
         for name, gains in (("tuned to climb", found.gains), ("Table 3", js.SlidingModeGains()))
     }
     title = f"Hard sign, 1 kHz hold, 5 N m on {np.rad2deg(slope):.3f}°, 99 % of the static bound"

@@ -13,6 +13,7 @@ import jaxsphere as js
 from experiments.plots.climbing import Axis
 from jaxsphere.checks import require_choice, require_count, require_scalar
 from jaxsphere.models import planar
+from jaxsphere.tasks.simulate import checked
 
 # Time steps that divide a minute, s, and the largest product with a rate (1/s); RK4 is stable up to 2.78.
 _STEPS = (15e-3, 12e-3, 10e-3, 8e-3, 6e-3, 5e-3, 4e-3, 3e-3, 2e-3, 1e-3)
@@ -20,58 +21,53 @@ _STABLE = 2.2
 
 
 class Setting(NamedTuple):
-    """One point of a map: what climbs, and for outcomes on which slope (rad)."""
+    """One point of a map: what climbs, under which gains, and how it is simulated."""
 
-    climb: js.Climb = js.Climb()
-    slope: Any = 0.17453292519943295  # 10 degrees
-    dtype: str = "float64"
+    task: js.PlanarTask = js.PlanarTask()
+    gains: js.SlidingModeGains = js.SlidingModeGains()
+    numerics: js.Numerics = js.Numerics(duration=60.0)
 
 
-def of_climb(name: str) -> Callable[[Setting, Any], Setting]:
-    """Return what enters a value as the named field of the climb."""
-    return lambda setting, value: setting._replace(climb=replace(setting.climb, **{name: value}))
+def _of_task(name: str) -> Callable[[Setting, Any], Setting]:
+    return lambda setting, value: setting._replace(task=replace(setting.task, **{name: value}))
 
 
 def _of_gains(name: str) -> Callable[[Setting, Any], Setting]:
-    return lambda setting, value: of_climb("gains")(setting, replace(setting.climb.gains, **{name: value}))
+    return lambda setting, value: setting._replace(gains=replace(setting.gains, **{name: value}))
 
 
 def _of_robot(name: str) -> Callable[[Setting, Any], Setting]:
-    return lambda setting, value: of_climb("robot")(setting, replace(setting.climb.robot, **{name: value}))
-
-
-def _slope(setting: Setting, value: Any) -> Setting:
-    return setting._replace(slope=value)
+    return lambda setting, value: _of_task("robot")(setting, replace(setting.task.robot, **{name: value}))
 
 
 def _push(setting: Setting, value: Any) -> Setting:
-    return of_climb("disturbance")(setting, jnp.zeros(4).at[1].set(value))
+    return _of_task("disturbance")(setting, jnp.zeros(4).at[1].set(value))
 
 
 def _mass_ratio(setting: Setting, value: Any) -> Setting:
     """Move mass between pendulum and shell, whose moment follows; the total stays."""
-    robot = setting.climb.robot
+    robot = setting.task.robot
     pendulum = value * planar.total_mass(robot)
     shell = planar.total_mass(robot) - robot.gimbal_mass - pendulum
     inertia = robot.shell_inertia * (shell / robot.shell_mass)
-    return of_climb("robot")(setting, replace(robot, pendulum_mass=pendulum, shell_mass=shell, shell_inertia=inertia))
+    return _of_task("robot")(setting, replace(robot, pendulum_mass=pendulum, shell_mass=shell, shell_inertia=inertia))
 
 
 def _length_ratio(setting: Setting, value: Any) -> Setting:
-    return _of_robot("pendulum_length")(setting, value * setting.climb.robot.shell_radius)
+    return _of_robot("pendulum_length")(setting, value * setting.task.robot.shell_radius)
 
 
-def stable_step(climb: js.Climb, *axes: Axis) -> float:
+def stable_step(setting: Setting, *axes: Axis) -> float:
     """Largest usual time step (s) with which RK4 stays stable within the smoothed sign, for every point of the axes.
 
     Raises:
         ValueError: the sign is hard and the controller continuous, or no usual step is short enough.
     """
-    largest = {name: float(getattr(climb.gains, name)) for name in ("eta", "k", "c2")}
+    largest = {name: float(getattr(setting.gains, name)) for name in ("eta", "k", "c2")}
     largest |= {which.name: float(which.values.max()) for which in axes if which.name in largest}
-    smoothing = float(climb.smoothing)
-    if climb.control_period is not None:
-        return float(climb.control_period)
+    smoothing = float(setting.task.smoothing)
+    if setting.task.control_period is not None:
+        return float(setting.task.control_period)
     if smoothing == 0.0:
         raise ValueError("smoothing = 0 needs a sampled controller; type --control-period 1e-3")
     rate = largest["eta"] / smoothing + largest["k"] + largest["c2"]
@@ -103,10 +99,10 @@ QUANTITIES = {
     "pendulum_length": Quantity("pendulum length l (m)", 0.03, 0.145, _of_robot("pendulum_length")),
     "mass_ratio": Quantity("pendulum mass / total mass", 0.05, 0.6, _mass_ratio),
     "length_ratio": Quantity("pendulum length / shell radius", 0.2, 0.95, _length_ratio),
-    "torque_limit": Quantity("torque limit (N m)", 0.5, 4.0, of_climb("torque_limit")),
-    "travel": Quantity("travel (rad)", 1.0, 40.0, of_climb("travel")),
+    "torque_limit": Quantity("torque limit (N m)", 0.5, 4.0, _of_task("torque_limit")),
+    "travel": Quantity("travel (rad)", 1.0, 40.0, _of_task("travel")),
     "push": Quantity("rate of the sphere at the start (rad/s)", -2.0, 2.0, _push),
-    "slope": Quantity("slope γ (rad)", 0.0, 0.34, _slope),
+    "slope": Quantity("slope γ (rad)", 0.0, 0.34, _of_task("slope")),
 }
 
 
@@ -121,10 +117,10 @@ def axis(name: str, count: int, low: float | None = None, high: float | None = N
     return Axis(name, np.linspace(first, last, count), quantity.label)
 
 
-def at(setting: Setting, *entries: tuple[Axis, Any]) -> Setting:
-    """Enter values of axes into a setting."""
-    for which, value in entries:
-        setting = QUANTITIES[which.name].enter(setting, value)
+def at(setting: Setting, **values: Any) -> Setting:
+    """Return the setting with the named quantities at these values."""
+    for name, value in values.items():
+        setting = QUANTITIES[name].enter(setting, value)
     return setting
 
 
@@ -132,4 +128,12 @@ def check(setting: Setting, x: Axis, y: Axis) -> None:
     """Check the four corners of a map on the host. Raises ValueError for the first that is not admissible."""
     for xv in (x.values[0], x.values[-1]):
         for yv in (y.values[0], y.values[-1]):
-            js.check_climb(at(setting, (x, float(xv)), (y, float(yv))).climb)
+            here = at(setting, **{x.name: float(xv), y.name: float(yv)})
+            checked(here.task, here.numerics)
+            try:
+                here.task.check(here.gains)
+            except ValueError as error:
+                name, _, words = str(error).partition(" = ")
+                if (leaf := name.rpartition(".")[2]) in (x.name, y.name):
+                    raise ValueError(f"{leaf} axis reaches {words}") from None
+                raise

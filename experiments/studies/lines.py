@@ -78,7 +78,7 @@ def score(
     shape = len(gains), len(speeds), len(starts)
     i, j, k = (index.reshape(-1) for index in np.indices(shape))
     stacked = jax.tree.map(lambda *leaves: np.asarray(leaves, np.float64)[i], *gains)
-    figures = js.over_lanes(lane)(stacked, np.asarray(speeds, np.float64)[j], np.asarray(starts, np.float64)[k])
+    figures = js.batch(lane)(stacked, np.asarray(speeds, np.float64)[j], np.asarray(starts, np.float64)[k])
     return Scores(*(np.asarray(figure).reshape(shape) for figure in figures))
 
 

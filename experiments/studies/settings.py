@@ -149,6 +149,6 @@ class Map:
     tolerance: float = setting(1e-3, "rad", "Width of the bracket around every bound")
     refine: bool = setting(True, "", "Outcomes: simulate only where neighbours disagree")
     coarse: int | None = setting(16, "", "Outcomes: nodes between the first ones looked at")
-    slope: float = setting(math.radians(10.0), "rad", "Outcomes: slope unless it is an axis")
+    duration: float = setting(60.0, "s", "Simulated time after which a climb is too slow")
     dt: float | None = setting(None, "s", "Time step; the largest that is stable if not given")
     dtype: str = setting("float32", "", "float32 or float64, of the rollouts")

@@ -67,12 +67,11 @@ def check_time_grid(duration: float, dt: Real, save_every: int | None) -> int:
     return steps
 
 
-def check_control_period(period: Real | None, dt: Real) -> np.ndarray | None:
-    """Return the zero-order hold in steps, None for continuous control. Raises ValueError unless it is a multiple of dt."""
-    if period is None:
-        return None
-    require_scalar("control_period", period, above=0.0, unit="s")
-    return np.asarray(_whole_multiple("control_period", float(period), float(dt)), np.int32)
+def check_control_period(period: Real | None, dt: Real) -> None:
+    """Raise ValueError unless the sampling period (s) is None, traced or a multiple of dt."""
+    if period is not None and is_concrete(period):
+        require_scalar("control_period", period, above=0.0, unit="s")
+        _whole_multiple("control_period", float(period), float(dt))
 
 
 def _whole_multiple(name: str, value: float, dt: float) -> int:

@@ -9,7 +9,7 @@ from zlib import crc32
 import jax
 import numpy as np
 
-from jaxsphere.simulation.lanes import BLOCK, same_bits
+from jaxsphere.simulation.batch import BLOCK, blocks
 
 _LOW = 0xFFFFFFFF  # the lower of two words
 ROUNDS = 8  # of the Feistel network; four are enough to look random, the rest serves tiny counts
@@ -56,8 +56,8 @@ def _mixed(word: np.ndarray) -> np.ndarray:
 
 def _drawn(draw: Callable[..., jax.Array], seed: int, name: str, index: np.ndarray) -> np.ndarray:
     words = (crc32(name.encode()), seed >> 32, seed & _LOW, index >> 32, index & _LOW)
-    blocks = _batch(draw)(*(np.broadcast_to(np.asarray(word, np.uint32), index.shape) for word in words))
-    return np.concatenate(blocks)[: len(index)]
+    parts = _batch(draw)(*(np.broadcast_to(np.asarray(word, np.uint32), index.shape) for word in words))
+    return np.concatenate(parts)[: len(index)]
 
 
 @lru_cache
@@ -68,4 +68,4 @@ def _batch(draw: Callable[..., jax.Array]) -> Callable[..., list[jax.Array]]:
             key = jax.random.fold_in(key, word)
         return draw(key, dtype=jax.numpy.float64)
 
-    return same_bits(one, BLOCK, jax.local_devices()[:1])
+    return blocks(one, BLOCK, jax.local_devices()[:1])

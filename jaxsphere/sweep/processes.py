@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import numpy as np
 
-from jaxsphere.sweep.store import Memory
+from jaxsphere.sweep.memory import Memory
 
 
 def is_first() -> bool:

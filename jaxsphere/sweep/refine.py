@@ -59,7 +59,7 @@ class Guesses:
 def require_refinable(refine: Any, shape: tuple[int, ...], outputs: Any) -> None:
     """Require a refinement that fits the sweep. Raises ValueError with one sentence otherwise."""
     if not isinstance(refine, Boundaries | Guesses):
-        raise ValueError(f"refine = {refine!r} is not admissible; type jaxsphere.sweep.refine.Boundaries() or Guesses()")
+        raise ValueError(f"refine = {refine!r} is not admissible; type jaxsphere.Boundaries() or jaxsphere.Guesses()")
     if len(shape) != 2:
         raise ValueError(f"refine works over two axes, and there are {len(shape)}; leave it out, or type two axes")
     if refine.output not in outputs:

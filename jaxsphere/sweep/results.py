@@ -14,7 +14,7 @@ from jaxsphere.sweep import axes as ax
 from jaxsphere.sweep import schema
 from jaxsphere.sweep import store as st
 from jaxsphere.sweep.axes import Axis, Column
-from jaxsphere.sweep.store import Shards
+from jaxsphere.sweep.memory import Shards
 
 
 class Coordinate(NamedTuple):

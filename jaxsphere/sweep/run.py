@@ -1,4 +1,4 @@
-"""`sweep`: a lane function is traced once, compiled once for a device and run over chunks of lanes on all devices.
+"""`sweep`: a lane function is traced, compiled once for a device and run over chunks of lanes on all devices.
 
     lanes -> positions along the axes -> values of the leaves -> arguments -> lane function -> outputs -> store
 
@@ -11,24 +11,24 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import jaxpr_as_fun
 
 from jaxsphere import identity
 from jaxsphere.checks import require_choice, require_count
-from jaxsphere.simulation.lanes import BLOCK, same_bits
+from jaxsphere.simulation.batch import BLOCK
 from jaxsphere.sweep import axes as ax
-from jaxsphere.sweep import leaves, processes, schema
+from jaxsphere.sweep import processes, schema
 from jaxsphere.sweep import store as st
 from jaxsphere.sweep.axes import Axis
 from jaxsphere.sweep.chunks import Chunks, cut
+from jaxsphere.sweep.memory import Memory, Record, Shards
+from jaxsphere.sweep.program import Program, trace
 from jaxsphere.sweep.refine import Boundaries, Guesses, require_refinable
 from jaxsphere.sweep.results import SweepResults
-from jaxsphere.sweep.store import Record, Shards
 from jaxsphere.units import declared_units
 
 CHUNK = 65536  # lanes at most, unless asked for
@@ -37,13 +37,6 @@ VECTOR = 16  # numbers at most in a register
 WIDE_BLOCK = 8192  # lanes that one program computes on anything but a CPU
 
 Progress = Callable[[int, int], None]
-
-
-class _Program(NamedTuple):
-    run: Callable[[dict[str, np.ndarray]], list[tuple[jax.Array, ...]]]  # leaf -> (n,) to outputs, block after block
-    layout: np.dtype  # of one lane's outputs
-    units: dict[str, str]  # of the outputs
-    fingerprint: str  # of what is computed
 
 
 def sweep(
@@ -66,7 +59,8 @@ def sweep(
 
     Args:
         lane: any function of keyword arguments to a pytree of numbers, e.g. `rest_to_rest`. A Trajectory gives its status,
-            end_time, final_state and metrics. It is traced once and must not raise for a lane (type throw=False).
+            end_time, final_state and metrics; a `Pausable`, e.g. of `slope_search`, what it finds. It is traced and must not
+            raise for a lane (type throw=False).
         base: the arguments of every lane.
         axes: what varies, one axis or several (their product), see `jaxsphere.axes`.
         outputs: names of the outputs to keep beside the status; all of them by default.
@@ -93,7 +87,7 @@ def sweep(
     block = min(BLOCK if jax.default_backend() == "cpu" else WIDE_BLOCK, -(-lanes // VECTOR) * VECTOR)
     names = [column.leaf for axis in axes for column in axis.columns]
     names += [refine.argument] if isinstance(refine, Guesses) else []
-    program = _trace(lane, dict(base or {}), names, outputs, dtype, block)
+    program = trace(lane, dict(base or {}), names, outputs, dtype, block)
     if refine is not None:
         program = _refinable(program, refine, axes)
     fill = _fill if refine is None else partial(_fill_refined, refine)
@@ -102,7 +96,7 @@ def sweep(
     if store is None:
         if resume:
             raise ValueError("resume = True needs the folder of the sweep to finish; type store='...' too")
-        memory = st.Memory(chunks, program.layout, program.units)
+        memory = Memory(chunks, program.layout, program.units)
         fill(memory, set(), program, axes, progress, "nothing is kept; type store='...' to be able to go on next time")
         return SweepResults(axes, processes.gather(memory))
     schema.require_storable(program.layout.names or (), axes)
@@ -117,7 +111,7 @@ def sweep(
     return SweepResults(axes, shards, tuple(damaged))
 
 
-def _spec(program: _Program, base: Mapping[str, Any] | None, axes: Sequence[Axis], dtype: Any, refine: Any) -> dict[str, Any]:
+def _spec(program: Program, base: Mapping[str, Any] | None, axes: Sequence[Axis], dtype: Any, refine: Any) -> dict[str, Any]:
     kinds = program.layout
     outputs = {
         name: {"dtype": kinds[name].base.str, "shape": list(kinds[name].shape), "unit": program.units[name]}
@@ -127,7 +121,7 @@ def _spec(program: _Program, base: Mapping[str, Any] | None, axes: Sequence[Axis
     return {"lane": program.fingerprint} | said | ({} if refine is None else {"refine": identity.described(refine)})
 
 
-def _refinable(program: _Program, refine: Boundaries | Guesses, axes: Sequence[Axis]) -> _Program:
+def _refinable(program: Program, refine: Boundaries | Guesses, axes: Sequence[Axis]) -> Program:
     """The program with what a refinement adds to its outputs."""
     require_refinable(refine, ax.shape(axes), program.layout.names or ())
     if jax.process_count() > 1:
@@ -138,35 +132,8 @@ def _refinable(program: _Program, refine: Boundaries | Guesses, axes: Sequence[A
     return program._replace(layout=np.dtype([*kinds, ("simulated", np.bool_)]), units=program.units | {"simulated": ""})
 
 
-def _trace(
-    lane: Callable[..., Any], base: dict[str, Any], names: list[str], kept: Sequence[str], dtype: Any, block: int
-) -> _Program:
-    base = leaves.with_dtype(base, dtype)
-    if leaves.takes_dtype(lane):
-        base = {"dtype": dtype} | base
-    leaves.require_arguments(lane, base | dict.fromkeys(name.split(".")[0] for name in names))
-    units: dict[str, str] = {}
-
-    def one(*numbers: jax.Array) -> dict[str, jax.Array]:
-        result = lane(**leaves.replaced(base, dict(zip(names, numbers, strict=True))))
-        found = leaves.named_outputs(result)
-        for name in kept:
-            require_choice("output", name, tuple(found))
-        units.update(leaves.output_units(result))
-        return {name: jnp.asarray(leaf) for name, leaf in found.items() if not kept or name in ("status", *kept)}
-
-    jaxpr, outputs = jax.make_jaxpr(one, return_shape=True)(*[jax.ShapeDtypeStruct((), dtype)] * len(names))
-    if "status" in outputs and not (outputs["status"].shape == () and jnp.issubdtype(outputs["status"].dtype, jnp.integer)):
-        raise ValueError(f"the lane function returns status = {outputs['status']}; let it return one js.Status, or rename it")
-    traced = jaxpr_as_fun(jaxpr)
-    batch = same_bits(lambda *numbers: tuple(traced(*numbers)), block)
-    layout = np.dtype([(name, outputs[name].dtype, outputs[name].shape) for name in sorted(outputs)])
-    fingerprint = identity.fingerprint_of_jaxpr(jaxpr)
-    return _Program(lambda values: batch(*(np.asarray(values[name], dtype) for name in names)), layout, units, fingerprint)
-
-
 def _fill(
-    shards: Shards, done: Set[int], program: _Program, axes: Sequence[Axis], progress: Progress | None, advice: str
+    shards: Shards, done: Set[int], program: Program, axes: Sequence[Axis], progress: Progress | None, advice: str
 ) -> None:
     """Compute this process' chunks that are not `done`; `advice` says how to go on after Ctrl-C."""
     chunks = shards.chunks
@@ -193,7 +160,7 @@ def _fill_refined(
     refine: Boundaries | Guesses,
     shards: Shards,
     done: Set[int],
-    program: _Program,
+    program: Program,
     axes: Sequence[Axis],
     progress: Progress | None,
     advice: str,
@@ -241,7 +208,7 @@ def _fill_refined(
 
 
 def _records(
-    chunks: Chunks, todo: Iterable[int], program: _Program, axes: Sequence[Axis]
+    chunks: Chunks, todo: Iterable[int], program: Program, axes: Sequence[Axis]
 ) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
     """Numbers of chunks with what is stored of them; the next one is being computed while one is being written."""
     drawn = [column.leaf for axis in axes for column in axis.columns if ax.differs_by_lane(column)]

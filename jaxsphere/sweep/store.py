@@ -1,4 +1,4 @@
-"""Where the results of a sweep lie, chunk by chunk: in memory, or in a folder that outlives the process.
+"""The folder that keeps the results of a sweep, chunk by chunk.
 
 The folder is a Zarr v3 group that `xarray.open_zarr(FOLDER)` opens: an array over the axes of the sweep for every output and
 coordinate, units and meanings as attributes, CRC-32C in every chunk file. The attribute "jaxsphere" of the group says what the
@@ -17,10 +17,10 @@ import json
 import os
 import shutil
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from jaxsphere.files import remove_abandoned, write_atomically
 from jaxsphere.identity import fingerprint
 from jaxsphere.sweep import schema
 from jaxsphere.sweep.chunks import Chunks
+from jaxsphere.sweep.memory import Record
 
 FORMAT = 2
 ROOT = "zarr.json"
@@ -37,77 +38,9 @@ RESUME = "resume the same sweep to go on (resume=True or --resume)"
 _SEAL = 32  # bytes
 _CRC = 4  # bytes
 
-Record = Mapping[str, np.ndarray]  # output -> its values in the lanes of a chunk, (n, ...)
-
 
 class SweepError(RuntimeError):
     """A sweep could not go on, or its store cannot be read; what is done stays in the store."""
-
-
-class Shards(Protocol):
-    """What a sweep writes its results to, chunk by chunk, and what they are read from."""
-
-    @property
-    def chunks(self) -> Chunks:
-        """How the lanes are cut."""
-        ...
-
-    @property
-    def layout(self) -> np.dtype:
-        """Names, types and shapes of the outputs of one lane."""
-        ...
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Output -> unit, where it is known."""
-        ...
-
-    def read(self, index: int, name: str) -> np.ndarray:
-        """One output in the lanes of one chunk, (n, ...)."""
-        ...
-
-    def write(self, index: int, record: Record) -> None:
-        """Keep the outputs of one chunk."""
-        ...
-
-    def remember(self, batch: int, record: Record) -> None:
-        """Keep lanes of a refinement, which are in no order of chunks, until it is finished."""
-        ...
-
-    def recall(self, batch: int) -> Record | None:
-        """What was remembered, None when there is nothing or it is damaged."""
-        ...
-
-    def forget(self) -> None:
-        """Remove all that was remembered."""
-        ...
-
-
-@dataclass
-class Memory:
-    """Results that live as long as the process."""
-
-    chunks: Chunks
-    layout: np.dtype
-    units: Mapping[str, str]
-    records: dict[int, Record] = field(default_factory=dict)
-
-    def read(self, index: int, name: str) -> np.ndarray:
-        """One output in the lanes of one chunk, (n, ...)."""
-        return self.records[index][name]
-
-    def write(self, index: int, record: Record) -> None:
-        """Keep the outputs of one chunk."""
-        self.records[index] = {name: record[name] for name in self.layout.names or ()}
-
-    def remember(self, batch: int, record: Record) -> None:
-        """Nothing, for nothing outlives the process."""
-
-    def recall(self, batch: int) -> Record | None:
-        """Nothing."""
-
-    def forget(self) -> None:
-        """Nothing."""
 
 
 @dataclass

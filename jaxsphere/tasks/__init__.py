@@ -1,6 +1,6 @@
 """The paper's experiments as one call each: a robot, a law and a rollout put together, checked on the host."""
 
-from jaxsphere.tasks.climbing import Climb, check_climb, climb_outcome, outcome_run, slope_search, steepest_slope
+from jaxsphere.tasks.climbing import climb_outcome, outcome_run, slope_search, steepest_slope
 from jaxsphere.tasks.numerics import Numerics
 from jaxsphere.tasks.planar import PlanarTask, require_holdable, rest_to_rest
 from jaxsphere.tasks.release import static_bound_by_release
@@ -13,8 +13,6 @@ __all__ = [
     "SpatialTask",
     "closed_loop_of",
     "simulate",
-    "Climb",
-    "check_climb",
     "climb_outcome",
     "outcome_run",
     "require_holdable",

@@ -11,10 +11,9 @@ from jaxsphere.models import planar
 from jaxsphere.models.equilibrium import climbing_bound, equilibrium_swing
 from jaxsphere.numerics import Real
 from jaxsphere.robot import Robot, check_robot
-from jaxsphere.simulation.bisection import Trial, largest_success
 from jaxsphere.simulation.closed_loop import ClosedLoop, LoopState, closed_loop
 from jaxsphere.simulation.host import cast
-from jaxsphere.simulation.pausable import run
+from jaxsphere.simulation.search import Trial, largest_success, run
 from jaxsphere.status import ControllerOutput, Status, code
 from jaxsphere.tasks.climbing import SteepestSlope, in_seconds
 from jaxsphere.tasks.planar import planar_plant
@@ -35,7 +34,9 @@ def static_bound_by_release(robot: Robot, tolerance: Real = 1e-5, offset: Real =
     whirls. (Clamping the sphere's angle instead would be no test: there phi_0 is a saddle, see `zero_dynamics_poles`.)
 
     Args:
-        robot: the robot. tolerance: rad, width of the bracket. offset: rad. Batch it with `jax.vmap` or `js.over_lanes`.
+        robot: the robot.
+        tolerance: rad, width of the bracket.
+        offset: rad.
     """
     check_robot(robot)
     require_scalar("tolerance", tolerance, above=0.0, unit="rad")

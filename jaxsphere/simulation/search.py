@@ -1,9 +1,10 @@
-"""Largest value of a parameter up to which a simulated lane succeeds: bisection inside a compiled loop.
+"""Computations that end at different times, and a bisection that is one of them.
 
-A trial is a simulation at one value of the parameter, cut into segments: `start(value)` gives its first carry, and
-`advance(value, carry)` runs one segment and says whether the fate is decided. Every lane of a batch is at a trial of its own:
-as soon as one is decided, the lane narrows its bracket and starts the next, while its neighbours are still on theirs. Run a
-search with `pausable.run`, or many with `pausable.over_queue`.
+Under `jax.vmap` a loop lasts as long as its slowest lane. A `Pausable` can be advanced piece by piece instead, so that a ragged
+`batch` gives a lane the next computation as soon as it has finished one.
+
+`largest_success` finds the largest value of a parameter up to which a simulated lane succeeds. Every lane of a batch is at a
+trial of its own: as soon as one is decided, the lane narrows its bracket and starts the next.
 
 Bisection assumes that success is monotone in the parameter: below the value found it was seen to succeed, above to fail, and
 nothing was asked in between.
@@ -18,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.simulation.pausable import Pausable
+from jaxsphere.simulation.closed_loop import where
 from jaxsphere.status import Status, code
 
 # Factor by which the step grows while the bracket is still open on one side.
@@ -27,8 +28,23 @@ _GROWTH = 4.0
 _MOST_TRIALS = 100
 
 
+class Pausable(NamedTuple):
+    """A computation cut into pieces."""
+
+    first: Any  # carry before the first piece
+    advance: Callable[[Any], Any]  # carry -> carry after one more piece
+    is_done: Callable[[Any], Array]  # carry -> bool
+    result: Callable[[Any], Any]  # carry of a finished computation -> what it found
+
+
+def run(computation: Pausable) -> Any:
+    """Run one computation to its end; for many type `js.batch(make, ragged=True)`."""
+    last = jax.lax.while_loop(lambda carry: ~computation.is_done(carry), computation.advance, computation.first)
+    return computation.result(last)
+
+
 class Trial(NamedTuple):
-    """A simulation at one value of a parameter; a Status of OK is success."""
+    """A simulation at one value of a parameter, cut into segments; a Status of OK is success."""
 
     start: Callable[[Array], Any]  # value -> carry
     advance: Callable[[Array, Any], tuple[Any, Array, Array]]  # (value, carry) -> (carry, decided, Status code)
@@ -82,10 +98,11 @@ def largest_success(
     """Search for the largest value in [low, high] up to which `trial` succeeds; it ends with a `Bound`.
 
     Args:
-        trial: the simulation. low, high: ends of the search interval; the answer is never above `high`, which is not tried.
-        tolerance: width of the last bracket, wider where numbers have no more digits. guess: where to look first, the middle by
-        default. step: how far from a guess to look next, growing by 4 until the bracket is closed; by default the interval's
-        end.
+        trial: the simulation.
+        low, high: ends of the search interval; the answer is never above `high`, which is not tried.
+        tolerance: width of the last bracket, wider where numbers have no more digits.
+        guess: where to look first, the middle by default.
+        step: how far from a guess to look next, growing by 4 until the bracket is closed; the whole interval by default.
     """
     span = high - low
     reach = span if step is None else step
@@ -96,7 +113,7 @@ def largest_success(
         search = search._replace(carry=carry, segments=search.segments + 1)
         learnt = _learn(search, status, low, high, tolerance)
         learnt = learnt._replace(carry=trial.start(learnt.value))
-        return jax.tree.map(lambda new, old: jnp.where(decided, new, old), learnt, search)
+        return where(decided, learnt, search)
 
     count = jnp.zeros((), jnp.int32)
     begin = _Search(
