@@ -29,6 +29,7 @@ from jaxsphere.controllers.sliding_mode import SlidingModeGains  # noqa: E402
 from jaxsphere.controllers.sliding_mode import nonsingularity_margin as nonsingularity_margin  # noqa: E402
 from jaxsphere.controllers.sliding_mode import sliding_mode_poles as sliding_mode_poles  # noqa: E402
 from jaxsphere.controllers.tracking import TABLE_4, TrackingGains  # noqa: E402
+from jaxsphere.linear import linearise, poles  # noqa: E402
 from jaxsphere.models import equilibrium, planar, spatial  # noqa: E402
 from jaxsphere.models.equilibrium import climbing_bound, equilibrium_swing  # noqa: E402
 from jaxsphere.models.equilibrium import equilibria as equilibria  # noqa: E402
@@ -76,6 +77,8 @@ __all__ = [
     "SpatialTask",
     "Numerics",
     "simulate",
+    "linearise",
+    "poles",
     "climbing_bound",
     "equilibrium_swing",
     "steepest_slope",

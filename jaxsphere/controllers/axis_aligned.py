@@ -33,19 +33,19 @@ from jax import Array
 
 from jaxsphere.controllers.lean import Pair, balancing_lean
 from jaxsphere.controllers.references import Reference
-from jaxsphere.controllers.spin_axis import ZERO, PathFrame, Posture, axis_target, combine, path_frame, yaw_of
+from jaxsphere.controllers.spin_axis import ZERO, PathFrame, Posture, axis_target, combine, once, path_frame, yaw_of
 from jaxsphere.models.spatial.momentum import Lumped
-from jaxsphere.numerics import Real
+from jaxsphere.numerics import Real, evaluate_once
 from jaxsphere.numerics.linear_algebra import Vector3, dot
 
 if TYPE_CHECKING:
     from jaxsphere.controllers.tracking import TrackingGains
 
 # Across the path no faster than this many radians per radian of rolling, but as fast as so many 1/s in any case.
-FASTEST, SLOWEST = 0.8, 0.3
+FASTEST, SLOWEST = 0.85, 0.4
 
 # Below this rate of rolling (rad/s) the axis is not damped.
-SLOW_ROLL = 0.5
+SLOW_ROLL = 0.43
 
 # Of the discriminant of the lean's equation: what a demand leaves of it, and at most this part of what there is without one.
 LEAN_MARGIN, LEAN_SHARE = 0.12, 0.5
@@ -95,10 +95,11 @@ def demanded_acceleration(lumped: Lumped, gains: TrackingGains, reference: Refer
     frame = path_frame(lumped, reference, posture.axis)
     apart: Vector3 = (*error, 0.0)
     moving = combine((1.0, posture.velocity), (-1.0, (*reference.velocity, 0.0)))
+    frame = frame._replace(tangent=once(frame.tangent), left=once(frame.left))
     along = gains.k1 * dot(apart, frame.tangent) + gains.k2 * dot(moving, frame.tangent)
     across = _across(lumped, gains, reference, posture, frame, apart, moving)
     x, y, _ = combine((1.0, (*reference.acceleration, 0.0)), (-along, frame.tangent), (-across, frame.left))
-    return x, y
+    return evaluate_once(x), evaluate_once(y)
 
 
 def _across(
@@ -116,6 +117,7 @@ def _across(
         return balancing_lean(lumped, (x, y)).direction
 
     balance, leaning = jax.jvp(direction, reference.acceleration, (frame.left[0], frame.left[1]))
+    balance, leaning = once(balance), once(leaning)
     per_error, per_demand = yaw_of(lumped, balance, frame.left, ZERO), yaw_of(lumped, balance, ZERO, leaning)
     sideways = sideways_gains(gains, lumped.radius, frame.rolling, per_error, per_demand)
     target = axis_target(lumped, reference, posture, frame)

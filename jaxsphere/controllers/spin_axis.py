@@ -26,14 +26,14 @@ from jaxsphere.controllers.references import Reference
 from jaxsphere.models.spatial import frames
 from jaxsphere.models.spatial.frames import State
 from jaxsphere.models.spatial.momentum import Lumped
-from jaxsphere.numerics import Real, sincos
+from jaxsphere.numerics import Real, evaluate_once, sincos
 from jaxsphere.numerics.linear_algebra import Vector3, cross, dot
 
 # Below this speed (m/s) the path has no direction and the robot's own counts; below this rate (rad/s) a turn of w is ignored.
 _CRAWL, _SLOW_TURNING = 1e-3, 0.7
 
-# Of the rate of rolling: the largest vertical spin that n* follows.
-_LARGEST_SPIN = 0.5
+# Of the rate of rolling: the largest yaw rate that n* follows.
+_LARGEST_YAW = 0.5
 
 NORMAL: Vector3 = (0.0, 0.0, 1.0)
 ZERO: Vector3 = (0.0, 0.0, 0.0)
@@ -92,7 +92,7 @@ def posture_of(lumped: Lumped, state: State) -> Posture:
         (lumped.central_mass * lumped.radius, cross(NORMAL, velocity)),
         (lumped.pendulum_mass, cross(bob, combine((1.0, velocity), (lumped.length, swing)))),
     )
-    return Posture(axis, direction, velocity, momentum)
+    return Posture(axis, once(direction), once(velocity), once(momentum))
 
 
 def path_frame(lumped: Lumped, reference: Reference, axis: Vector3) -> PathFrame:
@@ -109,9 +109,11 @@ def path_frame(lumped: Lumped, reference: Reference, axis: Vector3) -> PathFrame
 def axis_target(lumped: Lumped, reference: Reference, posture: Posture, frame: PathFrame) -> AxisTarget:
     """Find n* and how far the spin axis is from it."""
     (x, y), (x_rate, y_rate) = reference.velocity, reference.acceleration
-    spin = vertical_spin(lumped, reference, posture, frame.rolling)
     steepness = lumped.along_slope / (lumped.into_slope * lumped.radius)
-    turning: Vector3 = (-y / lumped.radius, x / lumped.radius, spin + steepness * y)
+    yaw_rate = vertical_spin(lumped, reference, posture) + steepness * y
+    largest = _LARGEST_YAW * frame.rolling + 1e-3
+    yaw_rate = yaw_rate * (1.0 + (yaw_rate / largest) ** 16) ** -0.0625
+    turning: Vector3 = (-y / lumped.radius, x / lumped.radius, yaw_rate)
     change: Vector3 = (-y_rate / lumped.radius, x_rate / lumped.radius, steepness * y_rate)
     still = 1e-6 * (1.0 + frame.rolling)  # keeps the axis defined where nothing turns
     followed = dot(turning, turning) + _SLOW_TURNING**2
@@ -120,8 +122,8 @@ def axis_target(lumped: Lumped, reference: Reference, posture: Posture, frame: P
     return AxisTarget(wanted, -dot(frame.axis, level), -dot(frame.axis, cross(frame.tangent, wanted)))
 
 
-def vertical_spin(lumped: Lumped, reference: Reference, posture: Posture, rolling: Array) -> Array:
-    """Vertical spin c of the shell once it follows the path, rad/s, bounded by a share of `rolling` (rad/s)."""
+def vertical_spin(lumped: Lumped, reference: Reference, posture: Posture) -> Array:
+    """Vertical spin c that the shell will have once it follows the path, rad/s."""
     velocity: Vector3 = (*reference.velocity, 0.0)
     turn = cross(velocity, (*reference.acceleration, 0.0))[2] / (dot(velocity, velocity) + _CRAWL**2)
     mass = lumped.central_mass + lumped.pendulum_mass
@@ -131,9 +133,7 @@ def vertical_spin(lumped: Lumped, reference: Reference, posture: Posture, rollin
         (-mass * lumped.radius, cross(NORMAL, velocity)),
         (-lumped.gimbal_inertia[0] * turn, NORMAL),
     )
-    spin = upward(lumped, shell) / lumped.shell_axial
-    largest = _LARGEST_SPIN * rolling + 1e-3
-    return spin * (1.0 + (spin / largest) ** 8) ** -0.125
+    return upward(lumped, shell) / lumped.shell_axial
 
 
 def yaw_of(lumped: Lumped, balance: Vector3, error: Vector3, swing: Vector3) -> Array:
@@ -156,6 +156,12 @@ def upward(lumped: Lumped, vector: Vector3) -> Real:
 def combine(*terms: tuple[Real, Vector3]) -> Vector3:
     """Linear combination of vectors."""
     x, y, z = (sum(factor * vector[i] for factor, vector in terms) for i in range(3))
+    return x, y, z
+
+
+def once(vector: Vector3) -> Vector3:
+    """Vector as something that XLA computes once and then reads."""
+    x, y, z = (evaluate_once(jnp.asarray(component)) for component in vector)
     return x, y, z
 
 

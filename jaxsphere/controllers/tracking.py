@@ -58,17 +58,17 @@ class TrackingGains:
     k_p (1/s2) and k_d (1/s) of both joints and a_max (m/s2), the largest demand: these two and "pendulum_attitude".
     """
 
-    k1: Real = 12.0
-    k2: Real = 7.0
-    k3: Real = 4.0
-    k4: Real = 4.0
+    k1: Real = 16.0
+    k2: Real = 9.0
+    k3: Real = 3.4
+    k4: Real = 3.2
     k_p: Real = 900.0
     k_d: Real = 60.0
-    a_max: Real = 1.0
-    axis_damping: Real = 0.35
+    a_max: Real = 1.3
+    axis_damping: Real = 0.38
 
 
-TABLE_4 = TrackingGains(k1=49.0, k2=14.0, k3=49.0, k4=14.0)
+TABLE_4 = TrackingGains(k1=49.0, k2=14.0, k3=49.0, k4=14.0, a_max=1.0)
 
 
 class Signals(NamedTuple):

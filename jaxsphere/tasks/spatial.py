@@ -6,7 +6,7 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -71,6 +71,8 @@ class SpatialTask:
     The robot rests at first on the reference and along it unless `start`, `heading` or `initial_state` say otherwise.
     """
 
+    CYCLIC: ClassVar[tuple[int, ...]] = (4,)  # coordinates that nothing depends on: the spin
+
     robot: Robot = field(default_factory=Robot, metadata={"help": "that the controller believes in"})
     slope: Real = field(default=math.radians(10.0), metadata={"unit": "rad", "help": "slope; x points up-slope"})
     reference: Any = field(default_factory=lambda: references.line(0.5), metadata={"help": "time -> Reference"})
@@ -119,6 +121,17 @@ class SpatialTask:
             return tuple(self.initial_state), ()
         slope = jnp.asarray(self.slope)
         return _start(self.robot, slope, self.reference, self.start_position, self.heading), ()
+
+    def steady_motion(self) -> tuple[State, State]:
+        """State of straight rolling along the reference at time 0, or of rest. Raises ValueError for a curved reference."""
+        now = self.reference(jnp.zeros(()))
+        bent = jnp.abs(jnp.stack([*now.acceleration, *self.reference(jnp.ones(())).acceleration]))
+        if is_concrete(bent) and float(jnp.max(bent)) > 1e-9:
+            raise ValueError("reference is no straight line at constant speed; type e.g. reference=references.line(0.5)")
+        direction = _direction(now, 0.0 if self.heading is None else self.heading)
+        state = _start(self.robot, jnp.asarray(self.slope, float), self.reference, now.position, direction)
+        spin_rate = jnp.hypot(*now.velocity) / self.robot.shell_radius
+        return (*state[:9], spin_rate, *state[10:]), ()
 
     def dynamics(self) -> Plant:
         """Plant of this task."""
@@ -244,12 +257,16 @@ def _start(
     robot: Robot, slope: Array, reference: ReferenceFunction, start: Pair | None, heading: Real | None
 ) -> tuple[Array, ...]:
     first = reference(jnp.zeros_like(slope))
-    if heading is None:
-        east, north = first.velocity
-        moving = east**2 + north**2 > 0.0
-        heading = jnp.where(moving, jnp.arctan2(jnp.where(moving, north, 0.0), jnp.where(moving, east, 1.0)), 0.0)
+    heading = _direction(first, 0.0) if heading is None else heading
     position = first.position if start is None else start
     return tuple(jnp.asarray(x, slope.dtype) for x in tracking.resting_state(robot, slope, position, heading))
+
+
+def _direction(reference: references.Reference, standing: Real) -> Array:
+    """Direction of motion, rad from up-slope; `standing` where there is none."""
+    east, north = reference.velocity
+    moving = east**2 + north**2 > 0.0
+    return jnp.where(moving, jnp.arctan2(jnp.where(moving, north, 0.0), jnp.where(moving, east, 1.0)), standing)
 
 
 def _require_regular(state: Array) -> None:
