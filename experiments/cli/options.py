@@ -65,7 +65,7 @@ WORDS: dict[str, tuple[str, str]] = {
     "convention": ("", "Sign of z in (8): corrected or printed"),
     "method": ("", "rk4, dopri5 or semi_implicit_euler"),
     "speed": ("m/s", "Along a line or a circle"),
-    "realisation": ("", "pendulum_attitude, exact, pseudo_inverse or ideal"),
+    "realisation": ("", "axis_aligned, pendulum_attitude, exact, pseudo_inverse or ideal"),
     "heading": ("rad", "Of the line and of the robot at the start, from up-slope"),
     "start": ("m", "Where the robot rests at first when it follows a line"),
     "tolerance": ("m", "Largest error that counts as following"),
