@@ -28,8 +28,8 @@ def test_line_of_table_4_is_followed_by_the_sampled_robot():
     wanted = 0.5 * np.sqrt(0.5) * np.asarray(run.time)[:, None] * np.ones(2)
     distance = np.hypot(*(np.asarray(run.state[:, :2]) - wanted).T)
     late = distance[np.asarray(run.time) >= 5.0].max()
-    # 1.2 cm were promised of this case; samples every 20 ms may miss the running maximum, never exceed it.
-    assert late <= float(run.metrics.late_error) < 0.013
+    # Samples every 20 ms may miss the running maximum, never exceed it.
+    assert late <= float(run.metrics.late_error) < 0.0003
     assert float(run.metrics.final_error) == pytest.approx(distance[-1])
     assert float(run.metrics.peak_torque) <= 5.0
 

@@ -35,6 +35,19 @@ class Plant(NamedTuple):
     out: Callable[[State, State], tuple[State, Any]] | None = None  # (integrated (T,), given at first) -> (shown, attitude)
 
 
+def shown_rates(plant: Plant, state: State, torque: State) -> State:
+    """Rates of a plant's state in the coordinates of its trajectories."""
+    if plant.into is None or plant.out is None:
+        return tuple(map(jnp.asarray, plant.derivative(state, torque)))
+    out, first = plant.out, jax.lax.stop_gradient(state)
+    now = tuple(plant.into(state))
+
+    def show(*parts: Array) -> State:
+        return tuple(x[0] for x in out(tuple(part[None] for part in parts), first)[0])
+
+    return jax.jvp(show, now, tuple(map(jnp.asarray, plant.derivative(now, torque))))[1]
+
+
 class Measure(NamedTuple):
     """A running metric: update(value, time, state, torque, dt) at every step, finish(value) once at the end."""
 

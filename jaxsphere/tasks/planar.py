@@ -6,7 +6,7 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -39,6 +39,8 @@ class PlanarTask:
 
     Where `plant` is given the controller still believes in `robot`. The initial state is rest at phi_0 of `robot` unless given.
     """
+
+    CYCLIC: ClassVar[tuple[int, ...]] = ()  # coordinates that nothing depends on
 
     robot: Robot = field(default_factory=Robot, metadata={"help": "that the controller believes in"})
     slope: Real = quantity(TEN_DEGREES, "rad", "slope, positive up-slope")
@@ -100,6 +102,12 @@ class PlanarTask:
     def target(self) -> Array:
         """Sphere angle alpha_d that the move ends at, rad: `travel` from the initial one, whatever the disturbance."""
         return jnp.asarray(self.travel) + self._first_angle()
+
+    def steady_motion(self) -> tuple[State, State]:
+        """State of rest at the target, and the law's memory."""
+        equilibrium = equilibrium_swing(self.robot, self.slope)
+        zero = jnp.zeros_like(equilibrium)
+        return (self.target() + zero, zero, equilibrium, zero), (zero,)
 
     def dynamics(self) -> Plant:
         """Plant of this task."""
