@@ -8,11 +8,11 @@ Where the equations live (`grep -rn "Eq. (12)" jaxsphere` finds the home of any 
     (1) (5) (60)      models.planar                   dynamics, canonical form
     (2) - (4)         models.equilibrium              equilibrium, bound, poles of the zero dynamics
     (6) - (16)        controllers.sliding_mode        decoupled sliding-mode control of the plane
-    (19) - (26), (30), (31), (35), (41) - (43)    models.spatial.frames         frames, rolling constraint
+    (19) - (26), (30), (31), (35), (41) - (44)    models.spatial.frames         frames, rolling constraint
     (27) - (39)       models.spatial.energy           energies and Lagrangian
     (40)              models.spatial.contact          constraint forces
-    (44) - (46)       models.spatial.dynamics         reduced dynamics
-    (47) - (59)       controllers.tracking            trajectory tracking in four realisations
+    (45), (46)        models.spatial.dynamics         reduced dynamics, in the frame of `attitude`
+    (47) - (59)       controllers.tracking, .printed  trajectory tracking in five realisations
 
 Symbols:
 
@@ -29,7 +29,8 @@ from jaxsphere.controllers import references, sliding_mode, tracking  # noqa: E4
 from jaxsphere.controllers.sliding_mode import SlidingModeGains  # noqa: E402
 from jaxsphere.controllers.sliding_mode import nonsingularity_margin as nonsingularity_margin  # noqa: E402
 from jaxsphere.controllers.sliding_mode import sliding_mode_poles as sliding_mode_poles  # noqa: E402
-from jaxsphere.controllers.tracking import TrackingGains  # noqa: E402
+from jaxsphere.controllers.tracking import TABLE_4, TrackingGains  # noqa: E402
+from jaxsphere.linear import linearise, poles  # noqa: E402
 from jaxsphere.models import equilibrium, planar, spatial  # noqa: E402
 from jaxsphere.models.equilibrium import climbing_bound, equilibrium_swing  # noqa: E402
 from jaxsphere.models.equilibrium import equilibria as equilibria  # noqa: E402
@@ -76,6 +77,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Robot",
     "SlidingModeGains",
+    "TABLE_4",
     "TrackingGains",
     "rest_to_rest",
     "track",
@@ -84,6 +86,8 @@ __all__ = [
     "SpatialTask",
     "Numerics",
     "simulate",
+    "linearise",
+    "poles",
     "climbing_bound",
     "equilibrium_swing",
     "steepest_slope",

@@ -34,14 +34,14 @@ class Robot:
     gives one shell and one gimbal moment; the other two of each are taken equal here, an assumption of this package.
     """
 
-    shell_mass: Real = quantity(1.2, "kg", "m, mass of the shell")
-    gimbal_mass: Real = quantity(1.85, "kg", "m_i, mass of the gimbal")
-    pendulum_mass: Real = quantity(2.05, "kg", "m_p, mass of the pendulum")
-    shell_inertia: Array = quantity(_moments(0.018, 0.018, 0.018), "kg m2", "I_s, principal moments x, y, z (spin axis)")
-    gimbal_inertia: Array = quantity(_moments(0.0017, 0.0017, 0.0017), "kg m2", "I_i, principal moments x, y, z")
-    pendulum_length: Real = quantity(0.12, "m", "l, from the centre to the bob")
-    shell_radius: Real = quantity(0.15, "m", "r, radius of the shell")
-    gravity: Real = quantity(9.81, "m/s2", "g")
+    shell_mass: Real = quantity(1.2, "kg", "mass m of the shell")
+    gimbal_mass: Real = quantity(1.85, "kg", "mass m_i of the gimbal")
+    pendulum_mass: Real = quantity(2.05, "kg", "mass m_p of the pendulum")
+    shell_inertia: Array = quantity(_moments(0.018, 0.018, 0.018), "kg m2", "moments I_s of the shell: x, y, z (spin axis)")
+    gimbal_inertia: Array = quantity(_moments(0.0017, 0.0017, 0.0017), "kg m2", "moments I_i of the gimbal: x, y, z")
+    pendulum_length: Real = quantity(0.12, "m", "length l from the centre to the bob")
+    shell_radius: Real = quantity(0.15, "m", "radius r of the shell")
+    gravity: Real = quantity(9.81, "m/s2", "gravity g")
 
 
 def set_a() -> Robot:

@@ -17,7 +17,7 @@ class Status(IntEnum):
     WHIRLING = 2  # the pendulum went over the top
     DIVERGED = 3  # a coordinate left the range that makes sense for the task
     SINGULAR_DECOUPLING = 4  # the controller divides by zero
-    SINGULAR_COORDINATES = 5  # the attitude angles are at their singularity
+    SINGULAR_JOINTS = 5  # the pendulum points along the spin axis, where no gimbal angle moves it
     INFEASIBLE_LEAN = 6  # no pendulum lean balances the demand, e.g. a slope past the bound (4)
     NONFINITE = 7  # the next state is not finite
 

@@ -1,5 +1,6 @@
 """The spatial robot as MuJoCo sees it: a sphere on a tilted plane with a gimbal hinge and a pendulum hinge."""
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import spatial_oracle as oracle
@@ -91,17 +92,35 @@ def get_state(data):
     )
 
 
-def simulate(robot, slope, state, control, duration, dt, hold, save):
-    """Roll the engine out under `control(time, state)`, held for `hold` s; return the states (n, 12) every `save` s."""
+def get_pose(data):
+    """Read x, y, the rotation of the gimbal (9), and the angles of the pendulum and of the gimbal joint, whatever the lean."""
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, data.qpos[3:7])
+    sine, cosine = np.sin(data.qpos[7]), np.cos(data.qpos[7])
+    gimbal = rotation.reshape(3, 3) @ np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    return np.array([*data.qpos[:2], *gimbal.ravel(), data.qpos[8], data.qpos[7]])
+
+
+def pose_of(state):
+    """The numbers of `get_pose` of a state (12,) of the spatial model."""
+    angles = jnp.stack([state[6], state[5] - state[4]])
+    return jnp.concatenate([state[:2], oracle.gimbal_rotation(state[:7]).ravel(), angles])
+
+
+def simulate(robot, slope, state, control, duration, dt, hold, save, read=get_state):
+    """Roll the engine out under `control(time, state)`, held for `hold` s; return what `read` reads every `save` s.
+
+    That are states (n, 12) unless another `read` is given.
+    """
     model, data = build(robot, slope, dt)
     set_state(model, data, robot, state)
     states = []
     for step in range(round(duration / dt)):
         sampled, saved = step % round(hold / dt) == 0, step % round(save / dt) == 0
-        now = get_state(data) if sampled or saved else None
+        now = read(data) if sampled or saved else None
         if saved:
             states.append(now)
         if sampled:
             data.ctrl[:] = control(step * dt, now)
         mujoco.mj_step(model, data)
-    return np.array([*states, get_state(data)])
+    return np.array([*states, read(data)])

@@ -22,6 +22,7 @@ MAY_IMPORT = {
     "models": MODELS,
     "controllers": MODELS | {"controllers"},
     "simulation": MODELS | {"simulation"},
+    "linear": MODELS | {"simulation", "linear"},
     "sweep": MODELS | {"simulation", "sweep"},
 }
 # Files that put the parts together.

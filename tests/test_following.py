@@ -103,7 +103,7 @@ def test_a_lane_that_ends_early_keeps_its_error_and_pays_for_the_rest(evaluated)
     for speed, early in zip(SHORT.speeds, (True, False), strict=True):
         found = js.track_line(js.Robot(), 0.04, wild, speed, **task)
         end = float(found.end_time)
-        assert (int(found.status) == js.Status.SINGULAR_COORDINATES) == (0.2 < end < 0.8) == early
+        assert (int(found.status) not in (js.Status.OK, js.Status.NOT_SETTLED)) == (0.2 < end < 0.8) == early
         error = np.asarray(found.state)[:-1, :2] - speed * np.sqrt(0.5) * np.minimum(time, end)[:, None]
         lost.append(np.mean(time > end - 4e-3))
         distance.append(1e4 * np.mean(np.sum(error**2, axis=1)))

@@ -28,8 +28,8 @@ def test_line_of_table_4_is_followed_by_the_sampled_robot():
     wanted = 0.5 * np.sqrt(0.5) * np.asarray(run.time)[:, None] * np.ones(2)
     distance = np.hypot(*(np.asarray(run.state[:, :2]) - wanted).T)
     late = distance[np.asarray(run.time) >= 5.0].max()
-    # 1.2 cm were promised of this case; samples every 20 ms may miss the running maximum, never exceed it.
-    assert late <= float(run.metrics.late_error) < 0.013
+    # Samples every 20 ms may miss the running maximum, never exceed it.
+    assert late <= float(run.metrics.late_error) < 0.0003
     assert float(run.metrics.final_error) == pytest.approx(distance[-1])
     assert float(run.metrics.peak_torque) <= 5.0
 
@@ -93,6 +93,15 @@ def test_speed_of_a_reference_is_differentiable():
     assert float(slope) == pytest.approx(ends, rel=1e-5)
 
 
+def test_a_robot_that_lies_on_its_side_is_simulated():
+    lying = quick(initial_state=np.zeros(12), throw=False)
+    assert int(lying.status) != js.Status.NONFINITE
+    assert np.all(np.isfinite(lying.state))
+    assert np.all(np.isfinite(lying.attitude))
+    np.testing.assert_allclose(lying.attitude[0], [1.0, 0.0, 0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(lying.attitude, axis=1), 1.0, rtol=1e-12)
+
+
 def test_a_function_of_the_user_is_a_reference():
     run = js.track(ROBOT, SLOPE, parabola, duration=2.0, dt=4e-3)
     # It starts on the path, at rest, demanding 0.2 m/s2, a fifth of what the robot can give.
@@ -142,7 +151,6 @@ def test_an_eight_beyond_the_motor_is_not_settled_and_finite():
 
 
 FAULTS = [
-    (lambda: quick(initial_state=np.zeros(12)), r"theta = 0 rad"),
     (lambda: quick(initial_state=np.zeros(10)), r"shape \(10,\)"),
     (lambda: quick(js.TrackingGains(k3=-1.0)), r"gains\.k3 = -1"),
     (lambda: quick(speed=np.nan), r"speed = nan"),

@@ -32,7 +32,7 @@ LOOKS = {
     js.Status.WHIRLING: Look("0.7", "//", "^"),
     js.Status.DIVERGED: Look("0.55", "xx", "v"),
     js.Status.SINGULAR_DECOUPLING: Look("0.45", "++", "D"),
-    js.Status.SINGULAR_COORDINATES: Look("0.4", "--", "P"),
+    js.Status.SINGULAR_JOINTS: Look("0.4", "--", "P"),
     js.Status.INFEASIBLE_LEAN: Look("0.3", "\\\\", "X"),
     js.Status.NONFINITE: Look("0.15", "oo", "*"),
 }

@@ -19,11 +19,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.models.spatial import State
-from jaxsphere.models.spatial.frames import frame_angular_velocity
-from jaxsphere.models.spatial.momentum import Lumped
-from jaxsphere.numerics import Real, sincos
-from jaxsphere.numerics.linear_algebra import Vector3, cross, dot
+from jaxsphere.models.spatial import Lumped, State, attitude
+from jaxsphere.numerics import Real, evaluate_once, sincos
+from jaxsphere.numerics.linear_algebra import Vector3, dot
 
 Pair = tuple[Real, Real]
 
@@ -39,10 +37,10 @@ class Lean(NamedTuple):
 
 
 class Joints(NamedTuple):
-    """How far the joints are from a lean, wrapped to (-pi, pi], and the rates that hold the lean; rad and rad/s."""
+    """How far the joints are from a lean, wrapped to (-pi, pi], and how that changes; rad and rad/s."""
 
     error: tuple[Array, Array]  # beta* - beta
-    rate: tuple[Array, Array]  # beta*'
+    rate: tuple[Array, Array]  # beta*' - beta'
 
 
 def balancing_lean(lumped: Lumped, demand: Pair) -> Lean:
@@ -71,19 +69,19 @@ def balancing_lean(lumped: Lumped, demand: Pair) -> Lean:
 
 
 def joints_to(state: State, direction: Vector3) -> Joints:
-    """Find the gimbal and pendulum angles that point the pendulum along `direction` (in O), from where they are now."""
-    (s_psi, c_psi), (s_theta, c_theta) = sincos(state[2]), sincos(state[3])
-    (s_gimbal, c_gimbal), (s_pendulum, c_pendulum) = sincos(state[5]), sincos(state[6])
-    forward = c_psi * direction[0] + s_psi * direction[1]
-    x = c_theta * forward - s_theta * direction[2]
-    y = c_psi * direction[1] - s_psi * direction[0]
-    z = s_theta * forward + c_theta * direction[2]
+    """Find how far the gimbal and pendulum angles are from those that point the pendulum along `direction` (fixed in O)."""
+    now = attitude.of_state(state)
+    x, y, z = (evaluate_once(jnp.asarray(part)) for part in attitude.to_gimbal(attitude.axes_of(now), direction))
+    turning_x, turning_y, turning_z = attitude.turning_of(now)
+    s_pendulum, c_pendulum = sincos(now.pendulum_angle)
     square = jnp.maximum(x * x + y * y, _AXIS_MARGIN)
     across = jnp.sqrt(square)
-    gimbal_error = jnp.arctan2(c_gimbal * y - s_gimbal * x, c_gimbal * x + s_gimbal * y)
-    pendulum_error = jnp.arctan2(-z * c_pendulum - across * s_pendulum, across * c_pendulum - z * s_pendulum)
-    x_rate, y_rate, z_rate = cross((x, y, z), frame_angular_velocity(state))
-    return Joints((gimbal_error, pendulum_error), ((x * y_rate - y * x_rate) / square, -z_rate / across))
+    gimbal_rate = z * (x * turning_x + y * turning_y) / square - turning_z
+    pendulum_rate = (y * turning_x - x * turning_y) / across - now.pendulum_rate
+    return Joints(
+        error=(jnp.arctan2(y, x), jnp.arctan2(-z * c_pendulum - across * s_pendulum, across * c_pendulum - z * s_pendulum)),
+        rate=(gimbal_rate, pendulum_rate),
+    )
 
 
 def limit(demand: Pair, largest: Real) -> Pair:

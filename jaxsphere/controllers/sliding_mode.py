@@ -141,15 +141,15 @@ def signals(
         lumped: the robot that the controller believes in. equilibrium: its phi_0, rad. gains: the gains. state: alpha,
         alpha', phi, phi'. correction: zeta, rad. target: alpha_d, rad. smoothing: epsilon, rad/s.
     """
-    alpha, alpha_rate, swing, swing_rate = state
+    now = planar.PlanarState(*state)
     form = planar.canonical_form(lumped, state)
-    s1 = first_surface(gains, alpha - target, alpha_rate)
+    s1 = first_surface(gains, now.alpha - target, now.alpha_rate)
     z = asked_swing(gains, s1)
     z_slope = asked_swing_slope(gains, s1)
-    s2 = second_surface(gains, swing - equilibrium - z - correction, swing_rate)
+    s2 = second_surface(gains, now.swing - equilibrium - z - correction, now.swing_rate)
     correction_rate = _correction_rate(gains, s1, correction)
-    s1_drift = gains.c1 * alpha_rate + form.f1
-    drift = gains.c2 * (swing_rate - z_slope * s1_drift - correction_rate) + form.f2
+    s1_drift = gains.c1 * now.alpha_rate + form.f1
+    drift = gains.c2 * (now.swing_rate - z_slope * s1_drift - correction_rate) + form.f2
     decoupling = form.b2 - z_slope * gains.c2 * form.b1
     inverse = 1.0 / decoupling
     return Signals(
@@ -226,10 +226,10 @@ def sliding_mode_poles(robot: Robot, slope: Real, gains: SlidingModeGains, *, se
         alpha, alpha_rate, swing, correction = reduced
         z = asked_swing(gains, first_surface(gains, alpha, alpha_rate))
         swing_rate = -gains.c2 * (swing - equilibrium - z - correction)
-        state = (alpha, alpha_rate, swing, swing_rate)
+        state = planar.PlanarState(alpha, alpha_rate, swing, swing_rate)
         now = signals(lumped, equilibrium, gains, state, correction, 0.0, 1.0)
-        _, alpha_acceleration, _, _ = planar.derivative(lumped, state, (now.equivalent,))
-        return jnp.stack([alpha_rate, alpha_acceleration, swing_rate, now.correction_rate])
+        rates = planar.derivative(lumped, state, (now.equivalent,))
+        return jnp.stack([alpha_rate, rates.alpha_rate, swing_rate, now.correction_rate])
 
     rest = jnp.zeros(4).at[2].set(equilibrium)
     size = 4 if seeking else 3

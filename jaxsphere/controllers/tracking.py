@@ -1,17 +1,17 @@
-"""Trajectory tracking of the spatial robot: equations (47)-(59), in four realisations.
+"""Trajectory tracking of the spatial robot: equations (47)-(59), in five realisations.
 
 The output y = (x, y) is the centre of the sphere. An outer loop with gains k1..k4 asks for its acceleration; what differs is
 how that is turned into two torques (N m):
 
-    pendulum_attitude   beyond the paper, the default: limit the demand, lean the pendulum so that gravity gives it (`lean`),
-                        and control the two joints. Works on the robot.
+    axis_aligned        beyond the paper, the default: limit the demand, lean the pendulum so that gravity gives it (`lean`),
+                        and control the two joints. The demand damps the coning of the spin axis (`axis_aligned`). Stable.
+    pendulum_attitude   beyond the paper: the same with (58) as it is. It follows a path within 1.2 cm with Table 4's gains,
+                        but straight rolling is unstable: the spin axis cones.
     exact               the torques that give the demand at once. The zero dynamics are unstable: the pendulum leaves.
     pseudo_inverse      (47) as printed, with (53) read as a pseudo-inverse. Unstable.
     ideal               (48) taken literally: the five accelerations are the input and no torque exists. Not a robot.
 
-Differs from the paper:
-    (47), (48)  five accelerations cannot be assigned by two torques, so (48) is not what (47) gives.
-    (53)        Phi is 2 x 5 and has no inverse; its pseudo-inverse, the smallest u, is used.
+Differs from the paper (`printed` has what is printed of (47), (48) and (53)):
     (54)        the zero dynamics are called stable; `zero_dynamics_poles` shows that they are not.
 """
 
@@ -26,34 +26,58 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxsphere.checks import require_choice, require_scalar
+from jaxsphere.controllers import axis_aligned, printed
 from jaxsphere.controllers.lean import Joints, Lean, balancing_lean, joints_to, limit
 from jaxsphere.controllers.references import Pair, Reference, ReferenceFunction
-from jaxsphere.models import spatial
-from jaxsphere.models.spatial import Affine, State, frames, momentum
-from jaxsphere.models.spatial.momentum import BETA1, BETA2, PHI, THETA, Lumped
-from jaxsphere.numerics import Real, sincos
-from jaxsphere.numerics.linear_algebra import dot, solve_pair
+from jaxsphere.controllers.spin_axis import posture_of
+from jaxsphere.models.spatial import Affine, GimbalState, Lumped, SpatialState, State, attitude, dynamics, frames
+from jaxsphere.models.spatial.attitude import Axes
+from jaxsphere.numerics import Real, evaluate_once
+from jaxsphere.numerics.linear_algebra import Vector3, cross, solve_pair
 from jaxsphere.robot import Robot
 from jaxsphere.status import ControllerOutput, Status, code
 from jaxsphere.units import quantity
 
-REALISATIONS = ("pendulum_attitude", "exact", "pseudo_inverse", "ideal")
+# Cosine of beta2 below which the pendulum points along the spin axis.
+_ALONG_AXIS = 1e-6
 
-_OUTPUT_PAIR, _JOINT_PAIR = (THETA, PHI), (BETA1, BETA2)
+# Square of the sine of the lean below which beta1 has no acceleration of its own.
+_AXIS_MARGIN = 1e-12
+
+REALISATIONS = ("axis_aligned", "pendulum_attitude", "exact", "pseudo_inverse", "ideal")
+
+# Those that lean the pendulum and control the two joints.
+BY_ATTITUDE = ("axis_aligned", "pendulum_attitude")
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class TrackingGains:
-    """Gains of tracking; the defaults of k1..k4 are Table 4. The others belong to "pendulum_attitude"."""
+    """Gains of tracking; the defaults are for "axis_aligned", Table 4 is TABLE_4.
 
-    k1: Real = quantity(49.0, "1/s2", "on the error of x")
-    k2: Real = quantity(14.0, "1/s", "on its rate")
-    k3: Real = quantity(49.0, "1/s2", "on the error of y")
-    k4: Real = quantity(14.0, "1/s", "on its rate")
+    With "axis_aligned" k1 and k2 act along the path, k3 and k4 across it; else k1 and k2 along x, k3 and k4 along y. k_p, k_d
+    and a_max are used by it and by "pendulum_attitude".
+    """
+
+    k1: Real = quantity(16.0, "1/s2", "on the error along the path, or of x")
+    k2: Real = quantity(9.0, "1/s", "on its rate")
+    k3: Real = quantity(3.4, "1/s2", "on the error across the path, or of y")
+    k4: Real = quantity(3.2, "1/s", "on its rate")
     k_p: Real = quantity(900.0, "1/s2", "of both joints")
     k_d: Real = quantity(60.0, "1/s", "of both joints")
-    a_max: Real = quantity(1.0, "m/s2", "largest acceleration asked for")
+    a_max: Real = quantity(1.3, "m/s2", "largest acceleration asked for")
+    axis_damping: Real = quantity(0.38, "", "damping ratio of the spin axis's coning")
+
+
+TABLE_4 = TrackingGains(k1=49.0, k2=14.0, k3=49.0, k4=14.0, a_max=1.0)
+
+
+class Pairs(NamedTuple):
+    """Two accelerations, affine in the torques: drift + drive tau1 + tilt tau2."""
+
+    drift: Pair
+    drive: Pair
+    tilt: Pair
 
 
 class Signals(NamedTuple):
@@ -79,7 +103,8 @@ def check_gains(gains: TrackingGains, name: str = "gains") -> TrackingGains:
 
 def output(state: State) -> Pair:
     """Output y = h(q) = (x, y), the centre of the sphere, m, Eq. (49), Eq. (55)."""
-    return state[0], state[1]
+    x, y, *_ = state
+    return x, y
 
 
 def tracking_error(reference: Reference, state: State) -> Pair:
@@ -112,62 +137,56 @@ def decoupling_matrix(robot: Robot, state: State) -> Array:
 
 def decoupling_determinant(robot: Robot, slope: Real, state: State) -> Array:
     """Determinant of Phi G (2 x 2), from the two torques to the centre's acceleration, 1/kg2; `exact` divides by it."""
-    radius, lumped = robot.shell_radius, momentum.lump(robot, slope)
-    return -(radius**2) * sincos(state[3])[0] * _determinant(spatial.affine(lumped, state), _OUTPUT_PAIR)
+    lumped, now = dynamics.lump(robot, slope), attitude.of_state(state)
+    return _determinant(centre_accelerations(lumped, now, attitude.axes_of(now), dynamics.affine(lumped, now)))
 
 
-def assigned_accelerations(lumped: Lumped, state: State, demand: Pair) -> tuple[Array, Array]:
-    """Accelerations (theta'', phi'') that give the centre the demanded one, rad/s2: u = Phi^+ (v - Phi' v), Eq. (53).
-
-    Differs from the paper: the pseudo-inverse of Phi stands for its inverse; u is zero on psi, beta1 and beta2.
-    """
-    angles, velocity = momentum.angles_of(state), tuple(state)[7:]
-    _, (drift_x, drift_y) = momentum.center_of(lumped, angles, velocity)
-    along_x = angles.c_psi * demand[0] + angles.s_psi * demand[1] - drift_x
-    along_y = angles.c_psi * demand[1] - angles.s_psi * demand[0] - drift_y
-    return along_x / lumped.radius, -along_y / (lumped.radius * angles.s_theta)
+def centre_accelerations(lumped: Lumped, now: GimbalState, axes: Axes, terms: Affine) -> Pairs:
+    """Accelerations of the centre along x and y, m/s2."""
+    drift, drive, tilt = (attitude.to_slope(axes, dynamics.rolled(lumped, axes, one))[:2] for one in terms)
+    more = attitude.to_slope(axes, dynamics.centre_drift(lumped, now, axes.normal))
+    return Pairs((drift[0] + more[0], drift[1] + more[1]), drive, tilt)
 
 
-def ideal_derivative(robot: Robot, state: State, accelerations: State) -> tuple[Real, ...]:
-    """Time derivative (C v, u) of a state whose five accelerations u (rad/s2) are the input, Eq. (48)."""
-    return (*frames.coordinate_rates(robot, state), *accelerations)
+def joint_angle_accelerations(now: GimbalState, axes: Axes, terms: Affine) -> Pairs:
+    """Accelerations beta1'' and beta2'' of the joints, rad/s2."""
+    x, y, _ = attitude.turning_of(now)
+
+    def precession(normal: Vector3, turning_x: Real, turning_y: Real) -> Array:
+        """psi' cos(theta), what omega_z is beyond beta1'."""
+        a, b, c = normal
+        return evaluate_once(c / jnp.maximum(a * a + b * b, _AXIS_MARGIN)) * (a * turning_x + b * turning_y)
+
+    def gimbal(one: tuple[Array, ...]) -> Array:
+        return one[2] - precession(axes.normal, one[0], one[1])
+
+    turned = cross(axes.normal, attitude.turning_of(now))
+    drift = evaluate_once(jax.jvp(lambda *normal: precession(normal, x, y), axes.normal, turned)[1])
+    free, drive, tilt = ((gimbal(one), one[4]) for one in terms)
+    return Pairs((free[0] - drift, free[1]), drive, tilt)
 
 
-def pseudo_inverse_torque(terms: Affine, accelerations: tuple[Real, ...]) -> tuple[Array, Array]:
-    """Torques G^+ (u - f2) that come nearest to the five accelerations u (rad/s2), N m, Eq. (47)."""
-    missing = [wanted - drift for wanted, drift in zip(accelerations, terms.drift, strict=True)]
-    cross_term = dot(terms.drive, terms.tilt)
-    normal = (dot(terms.drive, terms.drive), cross_term), (cross_term, dot(terms.tilt, terms.tilt))
-    return solve_pair(normal, (dot(terms.drive, missing), dot(terms.tilt, missing)))
+def assigning_torque(pairs: Pairs, wanted: Pair) -> tuple[Array, Array]:
+    """Torques that give the two accelerations the wanted values, N m."""
+    matrix = (pairs.drive[0], pairs.tilt[0]), (pairs.drive[1], pairs.tilt[1])
+    return solve_pair(matrix, (wanted[0] - pairs.drift[0], wanted[1] - pairs.drift[1]))
 
 
-def assigning_torque(terms: Affine, pair: tuple[int, int], wanted: Pair) -> tuple[Array, Array]:
-    """Torques that give the two accelerations of v numbered `pair` the wanted values (rad/s2), N m."""
-    i, j = pair
-    matrix = (terms.drive[i], terms.tilt[i]), (terms.drive[j], terms.tilt[j])
-    return solve_pair(matrix, (wanted[0] - terms.drift[i], wanted[1] - terms.drift[j]))
+def _determinant(pairs: Pairs) -> Array:
+    return jnp.asarray(pairs.drive[0] * pairs.tilt[1] - pairs.tilt[0] * pairs.drive[1])
 
 
-def _determinant(terms: Affine, pair: tuple[int, int]) -> Array:
-    i, j = pair
-    return terms.drive[i] * terms.tilt[j] - terms.tilt[i] * terms.drive[j]
-
-
-def _upright_sign(lumped: Lumped, pair: tuple[int, int]) -> Real:
-    """Sign of `_determinant` with the robot upright and the pendulum normal to the slope, in closed form."""
-    if pair == _JOINT_PAIR:
-        return -1.0
+def _upright_sign(lumped: Lumped) -> Real:
+    """Sign of the centre's `_determinant` with the robot upright and the pendulum normal to the slope, in closed form."""
     coupling = lumped.pendulum_mass * lumped.length * (lumped.radius - lumped.length)
     _, about_y, about_z = lumped.gimbal_inertia
-    return jnp.sign((coupling - about_y) * (coupling - about_z))
+    return -jnp.sign((coupling - about_y) * (coupling - about_z))
 
 
-def joint_accelerations(gains: TrackingGains, joints: Joints, rates: Pair) -> Pair:
+def joint_accelerations(gains: TrackingGains, joints: Joints) -> Pair:
     """Accelerations k_p (beta* - beta) + k_d (beta*' - beta') of the two joints, rad/s2."""
-    return (
-        gains.k_p * joints.error[0] + gains.k_d * (joints.rate[0] - rates[0]),
-        gains.k_p * joints.error[1] + gains.k_d * (joints.rate[1] - rates[1]),
-    )
+    drive, tilt = (gains.k_p * error + gains.k_d * rate for error, rate in zip(joints.error, joints.rate, strict=True))
+    return drive, tilt
 
 
 def signals(
@@ -175,34 +194,45 @@ def signals(
     gains: TrackingGains,
     reference: Reference,
     state: State,
-    realisation: str = "pendulum_attitude",
+    realisation: str = "axis_aligned",
 ) -> Signals:
     """Evaluate the law at one state.
 
     Args:
-        lumped: robot and slope that the controller believes in. gains: the gains. reference: desired motion at this instant.
-        state: 12 components. realisation: one of REALISATIONS.
+        lumped: robot and slope that the controller believes in.
+        gains: the gains.
+        reference: desired motion now.
+        state: 12 components.
+        realisation: one of REALISATIONS.
     """
-    velocity = momentum.center_velocity(lumped, state)
-    error = tracking_error(reference, state)
-    demand = demanded_acceleration(gains, reference, error, velocity)
-    attitude = realisation == "pendulum_attitude"
-    limited = limit(demand, gains.a_max) if attitude else demand
-    lean = balancing_lean(lumped, limited)
-    joints = joints_to(state, lean.direction)
-    terms = spatial.affine(lumped, state)
-    about_theta, about_phi = assigned_accelerations(lumped, state, limited)
-    pair, wanted = _OUTPUT_PAIR, (about_theta, about_phi)
-    if attitude:
-        pair, wanted = _JOINT_PAIR, joint_accelerations(gains, joints, (state[10], state[11]))
-    zero = jnp.zeros_like(about_theta)
-    if realisation == "ideal":
-        torque = zero, about_theta, about_phi, zero, zero
-    elif realisation == "pseudo_inverse":
-        torque = pseudo_inverse_torque(terms, (zero, about_theta, about_phi, zero, zero))
+    now = attitude.of_state(state)
+    axes = attitude.axes_of(now)
+    error = tracking_error(reference, now)
+    velocity = attitude.to_slope(axes, dynamics.rolled(lumped, axes, now[8:]))
+    attitude_law = realisation in BY_ATTITUDE
+    if realisation == "axis_aligned":
+        demand = axis_aligned.demanded_acceleration(lumped, gains, reference, posture_of(lumped, now), error)
+        limited = axis_aligned.limit(lumped, demand, gains.a_max)
     else:
-        torque = assigning_torque(terms, pair, wanted)
-    return Signals(error, demand, limited, lean, joints, _determinant(terms, pair) * _upright_sign(lumped, pair), torque)
+        demand = demanded_acceleration(gains, reference, error, velocity[:2])
+        limited = limit(demand, gains.a_max) if attitude_law else demand
+    lean = balancing_lean(lumped, limited)
+    joints = joints_to(now, lean.direction)
+    terms = dynamics.affine(lumped, now)
+    centre = centre_accelerations(lumped, now, axes, terms)
+    determinant = _determinant(centre) * _upright_sign(lumped)
+    if attitude_law:
+        pairs = joint_angle_accelerations(now, axes, terms)
+        torque, determinant = assigning_torque(pairs, joint_accelerations(gains, joints)), -_determinant(pairs)
+    elif realisation == "exact":
+        torque = assigning_torque(centre, limited)
+    else:
+        paper = SpatialState(*state) if len(state) == len(SpatialState._fields) else attitude.paper_state(now)
+        zero, assigned = jnp.zeros_like(paper.x), printed.assigned_accelerations(lumped.radius, paper, limited)
+        torque = zero, *assigned, zero, zero
+        if realisation == "pseudo_inverse":
+            torque = printed.pseudo_inverse_torque(dynamics.paper_affine(paper, now, terms), torque)
+    return Signals(error, demand, limited, lean, joints, determinant, torque)
 
 
 def law(
@@ -210,20 +240,20 @@ def law(
     slope: Real,
     gains: TrackingGains,
     reference: ReferenceFunction,
-    realisation: str = "pendulum_attitude",
+    realisation: str = "axis_aligned",
 ) -> Callable[[Array, State, tuple[Array, ...]], ControllerOutput]:
     """Build the control law (time, state, memory) -> ControllerOutput; it has no memory.
 
     The torques are drive and tilt (N m). For "ideal" they are five accelerations (rad/s2), the input of `ideal_derivative`. The
-    status is INFEASIBLE_LEAN on a slope past the bound (4) and where no lean gives the demand at time 0, and
-    SINGULAR_DECOUPLING where no torques give what is asked for.
+    status is INFEASIBLE_LEAN on a slope past the bound (4) and where no lean gives the demand at time 0, SINGULAR_DECOUPLING
+    where no torques give what is asked for, and SINGULAR_JOINTS where the pendulum points along the spin axis.
 
     Args:
         robot: the robot that the controller believes in. slope: rad. gains: the gains. reference: time -> Reference.
         realisation: one of REALISATIONS.
     """
     require_choice("realisation", realisation, REALISATIONS)
-    lumped = momentum.lump(robot, slope)
+    lumped = dynamics.lump(robot, slope)
     holdable = balancing_lean(lumped, (0.0, 0.0)).margin >= 0.0
     resting = jnp.where(holdable | (realisation == "ideal"), code(Status.OK), code(Status.INFEASIBLE_LEAN))
 
@@ -232,9 +262,11 @@ def law(
         now = signals(lumped, gains, reference(time), state, realisation)
         solvable = (now.determinant > 0.0) | (realisation in ("ideal", "pseudo_inverse"))
         status = jnp.where(solvable, resting, code(Status.SINGULAR_DECOUPLING))
-        if realisation == "pendulum_attitude":
+        if realisation in BY_ATTITUDE:
             # Later the nearest lean is kept; at the start there is nothing to recover from.
             status = jnp.where((time <= 0.0) & (now.lean.margin < 0.0), code(Status.INFEASIBLE_LEAN), status)
+            along_axis = jnp.abs(dynamics.direction_of(attitude.of_state(state))[0]) < _ALONG_AXIS
+            status = jnp.where(along_axis, code(Status.SINGULAR_JOINTS), status)
         return ControllerOutput(now.torque, (), status)
 
     return control
@@ -249,7 +281,7 @@ def resting_state(robot: Robot, slope: Real, position: Pair = (0.0, 0.0), headin
     zero = jnp.zeros_like(jnp.asarray(slope, jnp.result_type(float, slope)))
     right = zero + 0.5 * jnp.pi
     upright = (zero + position[0], zero + position[1], heading + right, right, *(zero,) * 8)
-    gimbal, pendulum = joints_to(upright, balancing_lean(momentum.lump(robot, slope), (zero, zero)).direction).error
+    gimbal, pendulum = joints_to(upright, balancing_lean(dynamics.lump(robot, slope), (zero, zero)).direction).error
     return (*upright[:5], gimbal, pendulum, *upright[7:])
 
 
@@ -259,14 +291,17 @@ def zero_dynamics_poles(robot: Robot, slope: Real, heading: Real = 0.0) -> Array
     The states left are psi, theta, phi, beta1, beta2, psi', beta1' and beta2'. A pole in the right half plane means that the
     centre is a non-minimum-phase output: no law that prescribes it exactly is internally stable.
     """
-    lumped = momentum.lump(robot, slope)
+    lumped = dynamics.lump(robot, slope)
     kept = jnp.array([2, 3, 4, 5, 6, 7, 10, 11])
     rest = jnp.stack(resting_state(robot, slope, heading=heading))
 
     def held(reduced_state: Array) -> Array:
         state = tuple(rest.at[kept].set(reduced_state))
-        terms = spatial.affine(lumped, state)
-        torque = assigning_torque(terms, _OUTPUT_PAIR, assigned_accelerations(lumped, state, (0.0, 0.0)))
-        return jnp.stack(spatial.derivative_components(lumped, state, torque))[kept]
+        now = attitude.of_state(state)
+        axes = attitude.axes_of(now)
+        centre = centre_accelerations(lumped, now, axes, dynamics.affine(lumped, now))
+        torque = assigning_torque(centre, (0.0, 0.0))
+        rates = dynamics.derivative_components(lumped, now, torque)
+        return jnp.stack(dynamics.paper_rates(state, now, rates))[kept]
 
     return jnp.linalg.eigvals(jax.jacfwd(held)(rest[kept]))

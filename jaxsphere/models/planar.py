@@ -22,14 +22,21 @@ from jax import Array
 from jaxsphere.numerics import Real, sincos
 from jaxsphere.robot import Robot
 
-STATE_NAMES = ("alpha", "alpha_rate", "swing", "swing_rate")
-STATE_UNITS = ("rad", "rad/s", "rad", "rad/s")
 IS_VELOCITY = (False, True, False, True)
 
 # Motor torque on (alpha, phi): the relative angle is alpha + phi.
 INPUT = (1.0, 1.0)
 
 State = Sequence[Array] | Array
+
+
+class PlanarState(NamedTuple):
+    """The components of a state by name, in their order: `PlanarState(*state)`."""
+
+    alpha: Array  # rad
+    alpha_rate: Array  # rad/s
+    swing: Array  # phi, rad
+    swing_rate: Array  # rad/s
 
 
 class Lumped(NamedTuple):
@@ -76,18 +83,17 @@ def total_mass(robot: Robot) -> Real:
 
 def inertia(lumped: Lumped, state: State) -> tuple[Real, Array, Real]:
     """Entries (M11, M12, M22) of the symmetric inertia matrix, kg m2."""
-    _, _, swing, _ = state
-    sin_swing, cos_swing = sincos(swing)
+    sin_swing, cos_swing = sincos(PlanarState(*state).swing)
     cos_relative = cos_swing * lumped.cos_slope + sin_swing * lumped.sin_slope
     return lumped.rolling_inertia, lumped.coupling * cos_relative, lumped.pendulum_inertia
 
 
 def bias(lumped: Lumped, state: State) -> tuple[Array, Array]:
     """Entries (N1, N2) of the centrifugal and gravity torques, N m."""
-    _, _, swing, swing_rate = state
-    sin_swing, cos_swing = sincos(swing)
+    now = PlanarState(*state)
+    sin_swing, cos_swing = sincos(now.swing)
     sin_relative = sin_swing * lumped.cos_slope - cos_swing * lumped.sin_slope
-    centrifugal = lumped.coupling * sin_relative * swing_rate**2
+    centrifugal = lumped.coupling * sin_relative * now.swing_rate**2
     return lumped.slope_torque - centrifugal, lumped.pendulum_weight * sin_swing
 
 
@@ -107,12 +113,11 @@ def canonical_form(lumped: Lumped, state: State) -> Canonical:
     )
 
 
-def derivative(lumped: Lumped, state: State, torque: Sequence[Array]) -> tuple[Array, Array, Array, Array]:
+def derivative(lumped: Lumped, state: State, torque: Sequence[Array]) -> PlanarState:
     """Time derivative of the state under the motor torque, by components: the two subsystems A and B, Eq. (5)."""
-    _, alpha_rate, _, swing_rate = state
-    (tau,) = torque
+    now, (tau,) = PlanarState(*state), torque
     f1, b1, f2, b2 = canonical_form(lumped, state)
-    return alpha_rate, f1 + b1 * tau, swing_rate, f2 + b2 * tau
+    return PlanarState(now.alpha_rate, f1 + b1 * tau, now.swing_rate, f2 + b2 * tau)
 
 
 def acceleration(robot: Robot, slope: Real, state: State, torque: Real) -> Array:
@@ -129,8 +134,8 @@ def acceleration(robot: Robot, slope: Real, state: State, torque: Real) -> Array
         raise ValueError(f"state has shape {state.shape}; type 4 numbers: alpha, alpha', phi, phi' (or use jax.vmap)")
     if jnp.ndim(torque):
         raise ValueError(f"torque has shape {jnp.shape(torque)}; type one number in N m (or use jax.vmap)")
-    _, alpha_acceleration, _, swing_acceleration = derivative(lump(robot, slope), tuple(state), (jnp.asarray(torque),))
-    return jnp.stack([alpha_acceleration, swing_acceleration])
+    rates = derivative(lump(robot, slope), tuple(state), (jnp.asarray(torque),))
+    return jnp.stack([rates.alpha_rate, rates.swing_rate])
 
 
 def mass_matrix(robot: Robot, slope: Real, state: State) -> Array:
@@ -141,20 +146,18 @@ def mass_matrix(robot: Robot, slope: Real, state: State) -> Array:
 
 def kinetic_energy(robot: Robot, slope: Real, state: State) -> Array:
     """Kinetic energy q'^T M q' / 2, J."""
-    _, alpha_rate, _, swing_rate = state
+    now = PlanarState(*state)
     m11, m12, m22 = inertia(lump(robot, slope), state)
-    return 0.5 * (m11 * alpha_rate**2 + 2.0 * m12 * alpha_rate * swing_rate + m22 * swing_rate**2)
+    return 0.5 * (m11 * now.alpha_rate**2 + 2.0 * m12 * now.alpha_rate * now.swing_rate + m22 * now.swing_rate**2)
 
 
 def potential_energy(robot: Robot, slope: Real, state: State) -> Array:
     """Potential energy, J, zero at alpha = 0 with the pendulum at a right angle."""
-    alpha, _, swing, _ = state
-    lumped = lump(robot, slope)
-    return lumped.slope_torque * alpha - lumped.pendulum_weight * sincos(swing)[1]
+    now, lumped = PlanarState(*state), lump(robot, slope)
+    return lumped.slope_torque * now.alpha - lumped.pendulum_weight * sincos(now.swing)[1]
 
 
 def power(state: State, torque: Sequence[Array]) -> Array:
     """Mechanical power of the motor, tau (alpha' + phi'), W."""
-    _, alpha_rate, _, swing_rate = state
-    (tau,) = torque
-    return tau * (INPUT[0] * alpha_rate + INPUT[1] * swing_rate)
+    now, (tau,) = PlanarState(*state), torque
+    return tau * (INPUT[0] * now.alpha_rate + INPUT[1] * now.swing_rate)

@@ -32,6 +32,21 @@ class Plant(NamedTuple):
     derivative: Callable[[State, State], tuple[Real, ...]]  # (state, torque) -> rate
     status: Callable[[State], Array]  # state -> Status code
     is_velocity: tuple[bool, ...]
+    into: Callable[[State], State] | None = None  # components that a user gives -> those that are integrated
+    out: Callable[[State, State], tuple[State, Any]] | None = None  # (integrated (T,), given at first) -> (shown, attitude)
+
+
+def shown_rates(plant: Plant, state: State, torque: State) -> State:
+    """Rates of a plant's state in the coordinates of its trajectories."""
+    if plant.into is None or plant.out is None:
+        return tuple(map(jnp.asarray, plant.derivative(state, torque)))
+    out, first = plant.out, jax.lax.stop_gradient(state)
+    now = tuple(plant.into(state))
+
+    def show(*parts: Array) -> State:
+        return tuple(x[0] for x in out(tuple(part[None] for part in parts), first)[0])
+
+    return jax.jvp(show, now, tuple(map(jnp.asarray, plant.derivative(now, torque))))[1]
 
 
 class Measure(NamedTuple):
@@ -95,11 +110,12 @@ def closed_loop(
     control = _limited(law, torque_limit)
 
     def init(state: State, memory: State = ()) -> LoopState:
+        state = tuple(state if plant.into is None else plant.into(state))
         zero = jnp.zeros_like(state[0])
         blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(control, zero, state, memory))
         return LoopState(
             index=jnp.zeros((), jnp.int32),
-            x=tuple(state),
+            x=state,
             memory=tuple(memory),
             torque=blank.torque,
             held=None if hold is None else blank,

@@ -20,7 +20,8 @@ class Trajectory:
     """Result of a rollout; under `jax.vmap` every leaf gets a leading axis of lanes.
 
     time: s. state: components of the plant. torque: N m, applied from that time on. memory: states of the law. status: a Status
-    code. end_time: when the lane ended, s. metrics, diagnostics: named numbers of the task, or None.
+    code. end_time: when the lane ended, s. metrics, diagnostics: named numbers of the task, or None. attitude: quaternion
+    (w, x, y, z) of a plant that has one.
     """
 
     time: Float[Array, " T"]
@@ -31,6 +32,7 @@ class Trajectory:
     end_time: Float[Array, ""] = field(metadata={"unit": "s"})
     metrics: Any = None
     diagnostics: Any = None
+    attitude: Float[Array, "T 4"] | None = None
 
 
 def rollout(
@@ -86,12 +88,14 @@ def rollout(
     if saved is None:
         saved = jax.tree.map(lambda leaf: leaf[None], (last.x, last.memory, last.torque))
     x, memories, torque = saved
+    shown, attitude = (x, None) if plant.out is None else plant.out(x, state)
     return Trajectory(
         time=jnp.asarray([steps] if save_every is None else block * jnp.arange(blocks)) * dt,
-        state=jnp.stack(x, -1),
+        state=jnp.stack(shown, -1),
         torque=jnp.stack(torque, -1),
         memory=jnp.stack(memories, -1) if memories else jnp.zeros((len(x[0]), 0), last.end_time.dtype),
         status=last.status,
         end_time=last.end_time,
         metrics=loop.metrics(last),
+        attitude=attitude,
     )

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from jaxsphere.models.planar import PlanarState
+from jaxsphere.models.spatial import cosine_of_lean
 from jaxsphere.numerics import Real, safe_sqrt
 from jaxsphere.simulation.closed_loop import Measure, State
 
@@ -45,24 +47,23 @@ def regulation(target: Array, travel: Array, equilibrium: Array) -> Measure:
     nothing = RegulationMetrics(zero + jnp.inf, zero, zero, zero, zero + jnp.inf, zero - jnp.inf, zero, zero, zero, zero)
 
     def update(running: _Running, time: Array, state: State, torque: State, dt: Array) -> _Running:
-        alpha, _, swing, _ = state
-        (tau,) = torque
-        last, error = running.so_far, alpha - target
+        now, (tau,) = PlanarState(*state), torque
+        last, error = running.so_far, now.alpha - target
         outside = jnp.abs(error) > SETTLING_BAND * jnp.abs(travel)
         variation = jnp.where(time > 0.0, jnp.abs(tau - running.last_torque), 0.0)
-        now = RegulationMetrics(
+        after = RegulationMetrics(
             settling_time=jnp.where(outside, jnp.inf, jnp.minimum(last.settling_time, time)),
             overshoot=jnp.maximum(last.overshoot, error / travel),
             final_error=error,
-            peak_swing=jnp.maximum(last.peak_swing, jnp.abs(swing - equilibrium)),
-            lowest_swing=jnp.minimum(last.lowest_swing, swing),
-            highest_swing=jnp.maximum(last.highest_swing, swing),
+            peak_swing=jnp.maximum(last.peak_swing, jnp.abs(now.swing - equilibrium)),
+            lowest_swing=jnp.minimum(last.lowest_swing, now.swing),
+            highest_swing=jnp.maximum(last.highest_swing, now.swing),
             peak_torque=jnp.maximum(last.peak_torque, jnp.abs(tau)),
             effort=last.effort + dt * tau * tau,
             chatter=last.chatter + variation,
             itae=last.itae + dt * time * jnp.abs(error / travel),
         )
-        return _Running(now, tau)
+        return _Running(after, tau)
 
     return Measure(_Running(nothing, zero), update, lambda running: running.so_far)
 
@@ -88,8 +89,8 @@ def tracking(reference: Callable[[Array], tuple[Real, Real]], settled_after: Arr
     zero = jnp.zeros_like(settled_after)
 
     def update(running: TrackingMetrics, time: Array, state: State, torque: State, dt: Array) -> TrackingMetrics:
-        x, y = reference(time)
-        square = (state[0] - x) ** 2 + (state[1] - y) ** 2
+        wanted, (x, y, *_) = reference(time), state
+        square = (x - wanted[0]) ** 2 + (y - wanted[1]) ** 2
         distance = safe_sqrt(square)
         late = jnp.where(time >= settled_after, distance, 0.0)
         largest = jnp.max(jnp.abs(jnp.stack(torque)), axis=0)
@@ -99,7 +100,10 @@ def tracking(reference: Callable[[Array], tuple[Real, Real]], settled_after: Arr
             final_error=distance,
             peak_torque=jnp.maximum(running.peak_torque, largest),
             effort=running.effort + dt * sum((u * u for u in torque[1:]), torque[0] * torque[0]),
-            peak_lean=jnp.maximum(running.peak_lean, jnp.abs(state[3] - 0.5 * jnp.pi)),
+            peak_lean=jnp.maximum(running.peak_lean, jnp.abs(cosine_of_lean(state))),
         )
 
-    return Measure(TrackingMetrics(*(zero,) * 6), update, lambda running: running)
+    def finish(running: TrackingMetrics) -> TrackingMetrics:
+        return running._replace(peak_lean=jnp.arcsin(jnp.minimum(running.peak_lean, 1.0)))
+
+    return Measure(TrackingMetrics(*(zero,) * 6), update, finish)

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -39,6 +39,8 @@ class PlanarTask:
 
     Where `plant` is given the controller still believes in `robot`. The initial state is rest at phi_0 of `robot` unless given.
     """
+
+    CYCLIC: ClassVar[tuple[int, ...]] = ()  # coordinates that nothing depends on
 
     robot: Robot = field(default_factory=Robot, metadata={"help": "that the controller believes in"})
     slope: Real = quantity(TEN_DEGREES, "rad", "slope, positive up-slope")
@@ -91,21 +93,29 @@ class PlanarTask:
         """Initial state (alpha, alpha', phi, phi') and the law's memory zeta."""
         equilibrium = equilibrium_swing(self.robot, self.slope)
         zero = jnp.zeros_like(equilibrium)
-        state = (zero, zero, equilibrium, zero) if self.initial_state is None else tuple(self.initial_state)
+        rest = planar.PlanarState(zero, zero, equilibrium, zero)
+        state = tuple(rest if self.initial_state is None else self.initial_state)
         if self.disturbance is not None:
             state = tuple(x + push for x, push in zip(state, jnp.asarray(self.disturbance), strict=True))
         return state, (zero,)
 
     def target(self) -> Array:
         """Sphere angle alpha_d that the move ends at, rad: `travel` from the initial one, whatever the disturbance."""
-        start = 0.0 if self.initial_state is None else self.initial_state[0]
-        return jnp.asarray(self.travel) + start
+        return jnp.asarray(self.travel) + self._first_angle()
+
+    def steady_motion(self) -> tuple[State, State]:
+        """State of rest at the target, and the law's memory."""
+        equilibrium = equilibrium_swing(self.robot, self.slope)
+        zero = jnp.zeros_like(equilibrium)
+        return (self.target() + zero, zero, equilibrium, zero), (zero,)
 
     def dynamics(self) -> Plant:
         """Plant of this task."""
         robot = self.robot if self.plant is None else self.plant
-        start = 0.0 if self.initial_state is None else self.initial_state[0]
-        return planar_plant(robot, jnp.asarray(self.slope), jnp.asarray(start), jnp.asarray(self.travel))
+        return planar_plant(robot, jnp.asarray(self.slope), jnp.asarray(self._first_angle()), jnp.asarray(self.travel))
+
+    def _first_angle(self) -> Real:
+        return 0.0 if self.initial_state is None else planar.PlanarState(*self.initial_state).alpha
 
     def law(self, gains: SlidingModeGains) -> Law:
         """Sliding-mode law of this task, with the bias of its sensors."""
@@ -217,9 +227,9 @@ def planar_plant(robot: Robot, slope: Array, start: Array, travel: Array) -> Pla
     range_ = 100.0 * jnp.maximum(jnp.abs(travel), 10.0)
 
     def status(state: planar.State) -> Array:
-        alpha, _, swing, _ = state
-        away = jnp.where(jnp.abs(alpha - start) > range_, code(Status.DIVERGED), code(Status.OK))
-        return jnp.where(jnp.abs(swing) > jnp.pi, code(Status.WHIRLING), away)
+        now = planar.PlanarState(*state)
+        away = jnp.where(jnp.abs(now.alpha - start) > range_, code(Status.DIVERGED), code(Status.OK))
+        return jnp.where(jnp.abs(now.swing) > jnp.pi, code(Status.WHIRLING), away)
 
     return Plant(partial(planar.derivative, lumped), status, planar.IS_VELOCITY)
 

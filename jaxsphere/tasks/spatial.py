@@ -6,7 +6,7 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 
 from jaxsphere.checks import is_concrete, require_choice, require_finite_vector, require_scalar
-from jaxsphere.controllers import references, tracking
+from jaxsphere.controllers import printed, references, tracking
 from jaxsphere.controllers.references import Pair, ReferenceFunction
 from jaxsphere.controllers.tracking import TrackingGains
 from jaxsphere.models import spatial
@@ -42,7 +42,7 @@ def track_line(
     slope: Real,
     gains: TrackingGains | None = None,
     speed: Real = 0.5,
-    realisation: str = "pendulum_attitude",
+    realisation: str = "axis_aligned",
     duration: float = 20.0,
     dt: float = 1e-3,
     torque_limit: Real | None = 5.0,
@@ -72,6 +72,8 @@ class SpatialTask:
     The robot rests at first on the reference and along it unless `start`, `heading` or `initial_state` say otherwise.
     """
 
+    CYCLIC: ClassVar[tuple[int, ...]] = (4,)  # coordinates that nothing depends on: the spin
+
     robot: Robot = field(default_factory=Robot, metadata={"help": "that the controller believes in"})
     slope: Real = quantity(math.radians(10.0), "rad", "slope; x points up-slope")
     reference: Any = field(default_factory=lambda: references.line(0.5), metadata={"help": "time -> Reference"})
@@ -84,11 +86,11 @@ class SpatialTask:
     delayed: Any = field(default=None, metadata={"help": "each torque acts one control period later"})
     tolerance: Real = quantity(0.05, "m", "error above which the reference is not followed")
     settled_after: Real = quantity(5.0, "s", "time allowed for settling")
-    realisation: str = field(default="pendulum_attitude", metadata={"static": True, "help": "one of tracking.REALISATIONS"})
+    realisation: str = field(default="axis_aligned", metadata={"static": True, "help": ", ".join(tracking.REALISATIONS)})
 
     def default_gains(self) -> TrackingGains:
-        """Table 4."""
-        return TrackingGains()
+        """The tuned gains for "axis_aligned", Table 4 for the other realisations."""
+        return TrackingGains() if self.realisation == "axis_aligned" else tracking.TABLE_4
 
     def default_duration(self) -> float:
         """Length of a rollout where none is given, s."""
@@ -108,23 +110,33 @@ class SpatialTask:
         if self.torque_limit is not None:
             require_scalar("torque_limit", self.torque_limit, above=0.0, unit="N m")
         if self.initial_state is not None:
-            require_finite_vector("initial_state", self.initial_state, 12, ", ".join(spatial.STATE_NAMES))
-            _require_regular(self.initial_state)
+            require_finite_vector("initial_state", self.initial_state, 12, ", ".join(spatial.SpatialState._fields))
         if self.delayed is not None and self.control_period is None:
             raise ValueError("delayed needs a sampled controller; type control_period=1e-3")
         references.check_reference(self.reference, duration)
 
     def start(self) -> tuple[State, State]:
-        """Initial state, 12 components; the law has no memory."""
+        """Initial state, 12 paper coordinates; the law has no memory."""
         if self.initial_state is not None:
             return tuple(self.initial_state), ()
         slope = jnp.asarray(self.slope)
         return _start(self.robot, slope, self.reference, self.start_position, self.heading), ()
 
+    def steady_motion(self) -> tuple[State, State]:
+        """State of straight rolling along the reference at time 0, or of rest. Raises ValueError for a curved reference."""
+        now = self.reference(jnp.zeros(()))
+        bent = jnp.abs(jnp.stack([*now.acceleration, *self.reference(jnp.ones(())).acceleration]))
+        if is_concrete(bent) and float(jnp.max(bent)) > 1e-9:
+            raise ValueError("reference is no straight line at constant speed; type e.g. reference=references.line(0.5)")
+        direction = _direction(now, 0.0 if self.heading is None else self.heading)
+        state = _start(self.robot, jnp.asarray(self.slope, float), self.reference, now.position, direction)
+        spin_rate = jnp.hypot(*now.velocity) / self.robot.shell_radius
+        return (*state[:9], spin_rate, *state[10:]), ()
+
     def dynamics(self) -> Plant:
         """Plant of this task."""
         robot = self.robot if self.plant is None else self.plant
-        return spatial_plant(robot, jnp.asarray(self.slope), self.realisation == "ideal")
+        return ideal_plant(robot) if self.realisation == "ideal" else spatial_plant(robot, jnp.asarray(self.slope))
 
     def law(self, gains: TrackingGains) -> Law:
         """Tracking law of this task."""
@@ -159,7 +171,6 @@ class SpatialTask:
             "torque_limit or a_max",
             Status.DIVERGED: "the robot rolled away; check the gains and the torque limit",
             Status.SINGULAR_DECOUPLING: "no torques give what the law asks for; lower the speed or the gains",
-            Status.SINGULAR_COORDINATES: "the lean reached 0 or pi, where the angles are singular; lower the demand",
             Status.INFEASIBLE_LEAN: "no swing of the pendulum balances the demand; lower the slope or the demand",
             Status.NONFINITE: "the next state is not finite; lower dt",
         }
@@ -170,7 +181,7 @@ def track(
     slope: Real,
     reference: ReferenceFunction,
     gains: TrackingGains | None = None,
-    realisation: str = "pendulum_attitude",
+    realisation: str = "axis_aligned",
     duration: float = 20.0,
     dt: float = 1e-3,
     torque_limit: Real | None = 5.0,
@@ -196,7 +207,7 @@ def track(
         robot: that the controller believes in, and the plant too unless `plant` is given.
         slope: rad.
         reference: time -> position, velocity, acceleration (see `controllers.references`).
-        gains: Table 4 by default.
+        gains: tuned ones for "axis_aligned" by default, `TABLE_4` for the other realisations.
         realisation: one of `tracking.REALISATIONS`.
         start: where the robot rests at first, m; on the reference by default.
         duration, dt, method, save_every, dtype: as in `Numerics`.
@@ -231,31 +242,32 @@ def track(
     return simulate(task, gains, numerics, diagnostics=diagnostics, throw=throw)
 
 
-def spatial_plant(robot: Robot, slope: Array, ideal: bool = False) -> Plant:
-    """Spatial robot as a rollout sees it; `ideal` takes five accelerations in place of two torques, (48)."""
-    field = (
-        partial(tracking.ideal_derivative, robot)
-        if ideal
-        else partial(spatial.derivative_components, spatial.lump(robot, slope))
-    )
-    return Plant(field, spatial.status, spatial.IS_VELOCITY)
+def spatial_plant(robot: Robot, slope: Array) -> Plant:
+    """Spatial robot as a rollout sees it: integrated in the gimbal's frame, given and shown in paper coordinates."""
+    field = partial(spatial.derivative_components, spatial.lump(robot, slope))
+    return Plant(field, _alive, spatial.IS_VELOCITY, spatial.of_state, spatial.paper_states)
+
+
+def ideal_plant(robot: Robot) -> Plant:
+    """Robot whose five accelerations are the input, (48), in paper coordinates."""
+    return Plant(partial(printed.ideal_derivative, robot), _alive, (*(False,) * 7, *(True,) * 5))
+
+
+def _alive(state: State) -> Array:
+    return jnp.full_like(state[0], code(Status.OK), jnp.int32)
 
 
 def _start(
     robot: Robot, slope: Array, reference: ReferenceFunction, start: Pair | None, heading: Real | None
 ) -> tuple[Array, ...]:
     first = reference(jnp.zeros_like(slope))
-    if heading is None:
-        east, north = first.velocity
-        moving = east**2 + north**2 > 0.0
-        heading = jnp.where(moving, jnp.arctan2(jnp.where(moving, north, 0.0), jnp.where(moving, east, 1.0)), 0.0)
+    heading = _direction(first, 0.0) if heading is None else heading
     position = first.position if start is None else start
     return tuple(jnp.asarray(x, slope.dtype) for x in tracking.resting_state(robot, slope, position, heading))
 
 
-def _require_regular(state: Array) -> None:
-    if is_concrete(state) and abs(math.sin(float(state[3]))) < math.sin(spatial.SINGULAR_LEAN):
-        raise ValueError(
-            f"initial_state has a lean theta = {float(state[3]):g} rad, where the attitude angles are singular; type one away "
-            "from 0 and pi, e.g. pi/2"
-        )
+def _direction(reference: references.Reference, standing: Real) -> Array:
+    """Direction of motion, rad from up-slope; `standing` where there is none."""
+    east, north = reference.velocity
+    moving = east**2 + north**2 > 0.0
+    return jnp.where(moving, jnp.arctan2(jnp.where(moving, north, 0.0), jnp.where(moving, east, 1.0)), standing)

@@ -262,7 +262,7 @@ class FollowLine(TaskObjective):
         """What the terms distance ... effort take the mean square of, at states of any shape."""
         x, y = task.reference(time).position
         error = 100.0 * (state[0] - x), 100.0 * (state[1] - y)
-        lean = jnp.rad2deg(jnp.maximum(jnp.abs(state[3] - 0.5 * jnp.pi) - self.lean_limit, 0.0))
+        lean = jnp.rad2deg(jnp.maximum(js.spatial.lean_from_upright(state) - self.lean_limit, 0.0))
         angle = friction_angle(self._contact(task, state, torque))
         steeper = jnp.rad2deg(jnp.maximum(angle - jnp.arctan(self.friction_limit), 0.0))
         return error, error, (linear_far_out(lean),), (linear_far_out(steeper),), torque

@@ -1,44 +1,48 @@
 """The spatial robot on a slope: frames and rolling, dynamics, energies and contact forces."""
 
+from jaxsphere.models.spatial.attitude import (
+    IS_VELOCITY,
+    GimbalState,
+    cosine_of_lean,
+    lean_from_upright,
+    of_state,
+    paper_state,
+    paper_states,
+)
 from jaxsphere.models.spatial.dynamics import (
     CONVENTIONS,
-    INPUT_COLUMNS,
-    SINGULAR_LEAN,
     Affine,
     Lumped,
     Reduced,
-    accelerations,
     affine,
     check_spatial_robot,
     derivative,
     derivative_components,
-    is_singular,
     lump,
     mass_matrix,
     reduced,
-    status,
 )
-from jaxsphere.models.spatial.frames import IS_VELOCITY, STATE_NAMES, STATE_UNITS, State
+from jaxsphere.models.spatial.frames import SpatialState, State
 
 __all__ = [
     "CONVENTIONS",
-    "INPUT_COLUMNS",
     "IS_VELOCITY",
-    "STATE_NAMES",
-    "STATE_UNITS",
     "Affine",
+    "GimbalState",
     "Lumped",
     "Reduced",
+    "SpatialState",
     "State",
-    "SINGULAR_LEAN",
-    "accelerations",
     "affine",
     "check_spatial_robot",
+    "cosine_of_lean",
     "derivative",
     "derivative_components",
-    "is_singular",
+    "lean_from_upright",
     "lump",
     "mass_matrix",
+    "of_state",
+    "paper_state",
+    "paper_states",
     "reduced",
-    "status",
 ]

@@ -9,15 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.models.spatial import dynamics
-from jaxsphere.models.spatial import frames as kinematics
+from jaxsphere.models.spatial import attitude, dynamics
 from jaxsphere.models.spatial.frames import State
-from jaxsphere.numerics import Real
-from jaxsphere.numerics.linear_algebra import Vector3, dot
+from jaxsphere.numerics import Real, safe_sqrt
 from jaxsphere.robot import Robot
 
 
@@ -33,12 +30,14 @@ def contact(robot: Robot, slope: Real, state: State, torque: Sequence[Array]) ->
     """Forces that keep the sphere rolling on the slope without slip, for the corrected model.
 
     Args:
-        robot: the robot. slope: rad. state: 12 components. torque: drive and tilt, N m.
+        robot: the robot.
+        slope: rad.
+        state: components in the gimbal's frame, or in paper coordinates.
+        torque: drive and tilt, N m.
     """
     x, y, normal = _contact_force(robot, slope, state, torque)
     pressed = normal > 0.0
-    slip_free = jnp.sqrt(dot((x, y), (x, y)))
-    coefficient = jnp.where(pressed, slip_free / jnp.where(pressed, normal, 1.0), jnp.inf)
+    coefficient = jnp.where(pressed, safe_sqrt(x * x + y * y) / jnp.where(pressed, normal, 1.0), jnp.inf)
     return Contact(normal, (x, y), coefficient)
 
 
@@ -52,14 +51,11 @@ def constraint_force(robot: Robot, slope: Real, state: State, torque: Sequence[A
 
 
 def _contact_force(robot: Robot, slope: Real, state: State, torque: Sequence[Array]) -> tuple[Array, Array, Array]:
-    rates = dynamics.derivative_components(dynamics.lump(robot, slope), state, torque)
-
-    def momentum(now: State) -> Vector3:
-        x_rate, y_rate = kinematics.rolling_velocity(robot, now)
-        bob = kinematics.pendulum_velocity(robot, now)
-        central, mass = robot.shell_mass + robot.gimbal_mass, robot.pendulum_mass
-        return central * x_rate + mass * bob[0], central * y_rate + mass * bob[1], mass * bob[2]
-
-    x, y, z = jax.jvp(lambda *now: momentum(now), tuple(state), tuple(rates))[1]
-    weight = robot.gravity * (robot.shell_mass + robot.gimbal_mass + robot.pendulum_mass)
-    return x + weight * jnp.sin(slope), y, z + weight * jnp.cos(slope)
+    now, lumped = attitude.of_state(state), dynamics.lump(robot, slope)
+    axes, accelerations = attitude.axes_of(now), dynamics.derivative_components(lumped, now, torque)[8:]
+    centre = (1.0, dynamics.rolled(lumped, axes, accelerations)), (1.0, dynamics.centre_drift(lumped, now, axes.normal))
+    bob = dynamics.bob_acceleration(lumped, now, accelerations)
+    mass = lumped.central_mass + lumped.pendulum_mass
+    force = attitude.to_slope(axes, dynamics.add((mass, dynamics.add(*centre)), (lumped.pendulum_mass, bob)))
+    x, y, z = (jnp.asarray(part) for part in force)
+    return x + mass * lumped.along_slope, y, z + mass * lumped.into_slope

@@ -1,17 +1,18 @@
-"""Dynamics of the spatial robot on a slope: equations (45) and (46).
+"""Dynamics of the spatial robot on a slope: equations (45) and (46), in the gimbal's frame C.
 
-Symbols, frames and the layout of a state are those of `frames`. The two torques (N m) are
+The two torques (N m) are
 
     tau1    drive: between gimbal and shell, about the spin axis; tau1 > 0 rolls the shell forward
     tau2    tilt: between gimbal and pendulum, about y of C
 
-Everything is written in frames that do not see the precession (`momentum`), where velocities and inertia depend on
-theta, beta1 and beta2 alone; psi enters through gravity. Every speed that carries momentum is a row J(q) v:
+The speeds are u = (omega, nu, beta2'), see `attitude`; in C they need no sine but that of beta2, and shell and gimbal have
+constant moments there. With k the normal of the slope, d the pendulum's direction, Omega = omega + nu e3 and
+Pi = omega + beta2' e2 the angular velocities of shell and pendulum, all in C, the bodies move with
 
-    M(q) = sum J^T m J        h(q, v) = sum J^T m (J' v + Omega x J v - gravity)        M v' + h = C^T B tau
+    v = r Omega x k      v + l Pi x d      Omega      omega      Pi        and        M u' + h = (0, 0, 0, tau1, tau2)
 
-with Omega the angular velocity of the frame that the row is written in. As in `planar`, `lump` gathers constants, and the
-functions on a `Lumped` are what a rollout evaluates.
+follows from the balance of power for every u. As in `planar`, `lump` gathers constants, and the functions on a `Lumped` are
+what a rollout evaluates; they take states of 13 components, or of the 12 of the paper.
 
 Differs from the paper:
     B in (40)   has +1 on spin and +1 on beta1. Both turn about z of B in the same sense, so a motor between shell and gimbal
@@ -26,38 +27,49 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from jaxsphere.checks import is_concrete, require_choice
-from jaxsphere.models.spatial import momentum, printed
-from jaxsphere.models.spatial.frames import STATE_NAMES, State
-from jaxsphere.models.spatial.momentum import Lumped, lump
+from jaxsphere.models.spatial import attitude, printed
+from jaxsphere.models.spatial.attitude import Axes, GimbalState
+from jaxsphere.models.spatial.frames import SpatialState, State
 from jaxsphere.numerics import Real, evaluate_once, sincos
-from jaxsphere.numerics.linear_algebra import solve_positive_definite, sum_of_products
+from jaxsphere.numerics.linear_algebra import Vector3, cross, dot, solve_positive_definite
 from jaxsphere.robot import Robot
-from jaxsphere.status import Status, code
 
 CONVENTIONS = ("corrected", "printed")
 
-# What drive and tilt torque do on (psi, theta, phi, beta1, beta2): the columns of C^T B.
-INPUT_COLUMNS = (0.0, 0.0, 1.0, -1.0, 0.0), (0.0, 0.0, 0.0, 0.0, 1.0)
+# What drive and tilt torque do on u.
+INPUT_COLUMNS = (0.0, 0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 0.0, 1.0)
 
-# Nearer than this to 0 or pi (rad) the lean counts as singular: precession and spin are then about nearly the same axis.
-SINGULAR_LEAN = 0.05
+
+class Lumped(NamedTuple):
+    """Constants of the spatial equations for one robot on one slope; every entry a scalar."""
+
+    central_mass: Real  # m + m_i, kg
+    pendulum_mass: Real  # m_p, kg
+    shell_transverse: Real  # I_xxs = I_yys, kg m2
+    shell_axial: Real  # I_zzs, kg m2
+    gimbal_inertia: Vector3  # I_xxi, I_yyi, I_zzi, kg m2
+    pendulum_inertia: Vector3  # about the centre of the sphere, along d and across it, kg m2
+    radius: Real  # r, m
+    length: Real  # l, m
+    along_slope: Real  # g sin(gamma), m/s2
+    into_slope: Real  # g cos(gamma), m/s2
 
 
 class Reduced(NamedTuple):
-    """Reduced dynamics M v' + h = B tau at one state, by components."""
+    """Reduced dynamics M u' + h = (0, 0, 0, tau1, tau2) at one state, by components."""
 
     inertia: tuple[tuple[Real, ...], ...]  # lower triangle of M, kg m2
     bias: tuple[Real, ...]  # h, N m
-    center: tuple[Real, Real]  # x', y', m/s
 
 
 class Affine(NamedTuple):
-    """v' = drift + drive tau1 + tilt tau2; each entry is (5), rad/s2 and 1/(kg m2)."""
+    """u' = drift + drive tau1 + tilt tau2; each entry is (5), rad/s2 and 1/(kg m2)."""
 
     drift: tuple[Array, ...]
     drive: tuple[Array, ...]
@@ -76,90 +88,209 @@ def check_spatial_robot(robot: Robot, name: str = "robot") -> Robot:
     return robot
 
 
-def reduced(lumped: Lumped, state: State) -> Reduced:
-    """Assemble M and h of C^T (M C v' + M C' v + N) = C^T B tau by components, Eq. (45)."""
-    angles, velocity = momentum.angles_of(state), tuple(state)[7:]
-    turn = momentum.slope_in_pendulum(angles)
-    center, drift = momentum.center_of(lumped, angles, velocity)
-    rows = momentum.momentum_rows(lumped, angles, turn, center)
-    lift = (
-        drift[0] + lumped.along_slope * angles.c_psi,
-        drift[1] - lumped.along_slope * angles.s_psi,
-        lumped.into_slope,
+def lump(robot: Robot, slope: Real) -> Lumped:
+    """Gather the constants of the spatial equations for `robot` on a `slope` (rad); unequal I_xxs, I_yys are averaged."""
+    shell, gimbal = robot.shell_inertia, robot.gimbal_inertia
+    offset = robot.pendulum_mass * robot.pendulum_length**2
+    return Lumped(
+        central_mass=robot.shell_mass + robot.gimbal_mass,
+        pendulum_mass=robot.pendulum_mass,
+        shell_transverse=0.5 * (shell[0] + shell[1]),
+        shell_axial=shell[2],
+        gimbal_inertia=(gimbal[0], gimbal[1], gimbal[2]),
+        pendulum_inertia=(0.0, offset, offset),
+        radius=robot.shell_radius,
+        length=robot.pendulum_length,
+        along_slope=robot.gravity * jnp.sin(slope),
+        into_slope=robot.gravity * jnp.cos(slope),
     )
-    motion = momentum.motion_of(angles, velocity)
-    rates = momentum.momentum_rates(lumped, motion, turn, velocity[momentum.PHI], lift)
-    forces = [evaluate_once(jnp.asarray(rate)) for rate in rates]
-    weighted = [{j: weight * row[j] for j in row} for weight, row in zip(momentum.weights(lumped), rows, strict=True)]
 
-    def entry(i: int, j: int) -> Real:
-        return sum_of_products(*((heavy.get(i, 0.0), row.get(j, 0.0)) for heavy, row in zip(weighted, rows, strict=True)))
 
-    center_x, center_y = (sum_of_products(*((row[j], velocity[j]) for j in row)) for row in center)
-    return Reduced(
-        inertia=tuple(tuple(entry(i, j) for j in range(i + 1)) for i in range(5)),
-        bias=tuple(sum_of_products(*((row.get(i, 0.0), f) for row, f in zip(rows, forces, strict=True))) for i in range(5)),
-        center=(
-            angles.c_psi * center_x - angles.s_psi * center_y,
-            angles.s_psi * center_x + angles.c_psi * center_y,
+def pendulum_turning(direction: tuple[Real, Real], speeds: Sequence[Real]) -> Vector3:
+    """Angular velocity of the pendulum in its own frame D, rad/s; `direction` is that of the bob, x and z in C."""
+    (dx, dz), (x, y, z, _, swing) = direction, speeds
+    return dx * x + dz * z, y + swing, dx * z - dz * x
+
+
+def _out_of_pendulum(direction: tuple[Real, Real], vector: Vector3) -> Vector3:
+    """Turn components in the pendulum's frame D into components in C."""
+    (dx, dz), (x, y, z) = direction, vector
+    return dx * x - dz * z, y, dz * x + dx * z
+
+
+def direction_of(now: GimbalState) -> tuple[Array, Array]:
+    """Direction of the bob from the centre, x and z in C; there is no y."""
+    sine, cosine = sincos(now.pendulum_angle)
+    return cosine, -sine
+
+
+def reduced(lumped: Lumped, now: GimbalState, axes: Axes) -> Reduced:
+    """Assemble M and h of C^T (M C v' + M C' v + N) = C^T B tau for the speeds u, Eq. (45)."""
+    direction = direction_of(now)
+    return Reduced(_inertia(lumped, axes.normal, direction), _bias(lumped, now, axes, direction))
+
+
+def _inertia(lumped: Lumped, normal: Vector3, direction: tuple[Array, Array]) -> tuple[tuple[Real, ...], ...]:
+    (x, y, z), (dx, dz) = normal, direction
+    rolling = (lumped.central_mass + lumped.pendulum_mass) * lumped.radius**2
+    coupling = lumped.pendulum_mass * lumped.radius * lumped.length
+    about_d, about_y, across = lumped.pendulum_inertia
+    # Of shell and masses on Omega; of the product of Omega and Pi; of the pendulum on Pi.
+    shell_xx, shell_yy = lumped.shell_transverse + rolling * (1.0 - x * x), lumped.shell_transverse + rolling * (1.0 - y * y)
+    shell_xy, shell_xz, shell_yz = -rolling * x * y, -rolling * x * z, -rolling * y * z
+    shell_zz = lumped.shell_axial + rolling * (1.0 - z * z)
+    both_xx, both_zz, both_xy, both_zy = coupling * dz * z, coupling * dx * x, -coupling * dx * y, -coupling * dz * y
+    both_xz, both_zx = -coupling * dx * z, -coupling * dz * x
+    both_yy = both_xx + both_zz
+    swing_xx, swing_zz = across * dz * dz + about_d * dx * dx, across * dx * dx + about_d * dz * dz
+    swing_xz = (about_d - across) * dx * dz
+    gimbal_x, gimbal_y, gimbal_z = lumped.gimbal_inertia
+    return (
+        (shell_xx + 2.0 * both_xx + swing_xx + gimbal_x,),
+        (shell_xy + both_xy, shell_yy + 2.0 * both_yy + about_y + gimbal_y),
+        (
+            shell_xz + both_xz + both_zx + swing_xz,
+            shell_yz + both_zy,
+            shell_zz + 2.0 * both_zz + swing_zz + gimbal_z,
+        ),
+        (shell_xz + both_zx, shell_yz + both_zy, shell_zz + both_zz, shell_zz),
+        (both_xy, both_yy + about_y, both_zy, both_zy, about_y),
+    )
+
+
+def _bias(lumped: Lumped, now: GimbalState, axes: Axes, direction: tuple[Array, Array]) -> tuple[Real, ...]:
+    normal, length, radius = axes.normal, lumped.length, lumped.radius
+    turning, swinging = attitude.turning_of(now), pendulum_turning(direction, now[8:])
+    x, y, z = swinging
+    about_d, about_y, across = lumped.pendulum_inertia
+    rate = now.pendulum_rate
+    torque = _out_of_pendulum(
+        direction,
+        (
+            (across - about_y) * y * z - about_d * rate * z,
+            (about_d - across) * z * x,
+            (about_y - about_d) * x * y + across * rate * x,
         ),
     )
+    lift = centre_drift(lumped, now, normal)
+    lift = tuple(a + lumped.along_slope * b + lumped.into_slope * c for a, b, c in zip(lift, axes.upslope, normal, strict=True))
+    moment = lumped.pendulum_mass * length
+    mass = lumped.central_mass + lumped.pendulum_mass
+    fall = _out_of_pendulum(direction, (-y * y - z * z, (rate + y) * x, x * z))
+    force = [evaluate_once(jnp.asarray(mass * a + moment * b)) for a, b in zip(lift, fall, strict=True)]
+    spin = lumped.shell_axial * (now.turning_z + now.relative_rate) - lumped.shell_transverse * now.turning_z
+    px, py, pz = cross(normal, (force[0], force[1], force[2]))
+    shell = (radius * px + turning[1] * spin, radius * py - turning[0] * spin, evaluate_once(jnp.asarray(radius * pz)))
+    gx, gy, gz = (inertia * w for inertia, w in zip(lumped.gimbal_inertia, turning, strict=True))
+    gimbal = cross(turning, (gx, gy, gz))
+    (dx, dz), (lx, ly, lz) = direction, lift
+    pendulum = (
+        torque[0] - moment * dz * ly,
+        evaluate_once(torque[1] + moment * (dz * lx - dx * lz)),
+        torque[2] + moment * dx * ly,
+    )
+    all_three = [evaluate_once(jnp.asarray(a + b + c)) for a, b, c in zip(shell, gimbal, pendulum, strict=True)]
+    return (*all_three, shell[2], pendulum[1])
 
 
-def accelerations(terms: Reduced, torque: Sequence[Array]) -> tuple[Array, ...]:
-    """Solve M v' = B tau - h for v' (5), rad/s2."""
-    drive, tilt = INPUT_COLUMNS
-    applied = (sum_of_products((a, torque[0]), (b, torque[1])) for a, b in zip(drive, tilt, strict=True))
-    right = [force - bias for force, bias in zip(applied, terms.bias, strict=True)]
-    (solution,) = solve_positive_definite(terms.inertia, right)
-    return solution
+def centre_drift(lumped: Lumped, now: GimbalState, normal: Vector3) -> Vector3:
+    """Acceleration of the centre while u stays constant, in C, m/s2."""
+    x, y, z = normal
+    pull = lumped.radius * now.relative_rate
+    return -pull * now.turning_x * z, -pull * now.turning_y * z, pull * (now.turning_x * x + now.turning_y * y)
+
+
+def rolled(lumped: Lumped, axes: Axes, speeds: Sequence[Real]) -> Vector3:
+    """Velocity r Omega x k of the centre for speeds u, or the part of its acceleration that u' makes; in C."""
+    x, y, z, spin, _ = speeds
+    a, b, c = cross((x, y, z + spin), axes.normal)
+    return lumped.radius * a, lumped.radius * b, lumped.radius * c
+
+
+def bob_acceleration(lumped: Lumped, now: GimbalState, accelerations: Sequence[Real]) -> Vector3:
+    """Acceleration of the bob relative to the centre under u', in C, m/s2."""
+    direction = direction_of(now)
+    x, y, z = pendulum_turning(direction, now[8:])
+    _, y_rate, z_rate = pendulum_turning(direction, accelerations)
+    fall = (-y * y - z * z, z_rate + (now.pendulum_rate + y) * x, x * z - y_rate)
+    return add((lumped.length, _out_of_pendulum(direction, fall)))
+
+
+def add(*terms: tuple[Real, Vector3]) -> Vector3:
+    """Sum of vectors, each times its factor."""
+    x, y, z = (sum(factor * vector[i] for factor, vector in terms) for i in range(3))
+    return x, y, z
 
 
 def affine(lumped: Lumped, state: State) -> Affine:
-    """Solve the reduced dynamics for v', affine in the torques: f2 and the columns of G of (46)."""
-    terms = reduced(lumped, state)
-    right = [-bias for bias in terms.bias]
-    return Affine(*solve_positive_definite(terms.inertia, right, *INPUT_COLUMNS))
+    """Solve the reduced dynamics for u', affine in the torques: f2 and the columns of G of (46)."""
+    now = attitude.of_state(state)
+    terms = reduced(lumped, now, attitude.axes_of(now))
+    return Affine(*solve_positive_definite(terms.inertia, [-bias for bias in terms.bias], *INPUT_COLUMNS))
 
 
-def derivative_components(lumped: Lumped, state: State, torque: Sequence[Array]) -> tuple[Real, ...]:
-    """Time derivative (q', v') of the state under drive and tilt torque, by components, Eq. (46)."""
-    terms = reduced(lumped, state)
-    return (*terms.center, *state[7:], *accelerations(terms, torque))
+def derivative_components(lumped: Lumped, state: State, torque: Sequence[Array]) -> GimbalState:
+    """Time derivative of a state in the gimbal's frame under drive and tilt torque, by components, Eq. (46)."""
+    now = attitude.of_state(state)
+    axes = attitude.axes_of(now)
+    terms, (drive, tilt) = reduced(lumped, now, axes), torque
+    (x, y, z, spin, swing) = terms.bias
+    (accelerations,) = solve_positive_definite(terms.inertia, (-x, -y, -z, drive - spin, tilt - swing))
+    turning = attitude.shell_turning_of(now)
+    velocity = lumped.radius * dot(axes.across, turning), -lumped.radius * dot(axes.upslope, turning)
+    return attitude.rates_of(now, velocity, accelerations)
 
 
 def derivative(robot: Robot, slope: Real, state: State, torque: Real, convention: str = "corrected") -> Array:
-    """Time derivative of one state.
+    """Time derivative of one state in paper coordinates.
 
     Args:
-        robot: the robot. slope: rad. state: (12,) = q, v in m, rad, m/s and rad/s. torque: (2,) drive and tilt, N m.
+        robot: the robot.
+        slope: rad.
+        state: (12,) = q, v in m, rad, m/s and rad/s.
+        torque: (2,) drive and tilt, N m.
         convention: "corrected" or "printed".
 
     Returns:
         (12,).
+
+    Raises:
+        ValueError: a shape or the convention is not admissible.
     """
     state, torque = jnp.asarray(state), jnp.asarray(torque)
     if state.shape != (12,):
-        raise ValueError(f"state has shape {state.shape}; type 12 numbers: {', '.join(STATE_NAMES)} (or use jax.vmap)")
+        raise ValueError(f"state has shape {state.shape}; type 12 numbers: {', '.join(SpatialState._fields)} (or use jax.vmap)")
     if torque.shape != (2,):
         raise ValueError(f"torque has shape {torque.shape}; type 2 numbers in N m: drive and tilt (or use jax.vmap)")
     require_choice("convention", convention, CONVENTIONS)
     if convention == "printed":
         return printed.derivative(robot, slope, state, torque)
-    return jnp.stack(derivative_components(lump(robot, slope), tuple(state), tuple(torque)))
+    now = attitude.of_state(state)
+    rates = derivative_components(lump(robot, slope), now, (torque[0], torque[1]))
+    return jnp.stack(paper_rates(state, now, rates))
+
+
+def paper_rates(state: State, now: GimbalState, rates: GimbalState) -> SpatialState:
+    """Rates of the 12 paper coordinates `state` that go with rates of the same state `now` in the gimbal's frame."""
+    side = jnp.where(sincos(SpatialState(*state).lean)[0] < 0.0, -1.0, 1.0)
+    return jax.jvp(lambda *parts: attitude.paper_state(parts, side=side), tuple(now), tuple(rates))[1]
+
+
+def paper_affine(state: State, now: GimbalState, terms: Affine) -> Affine:
+    """Turn u' = drift + drive tau1 + tilt tau2 into v' of the 12 paper coordinates `state` of the same state `now`."""
+    zero = jnp.zeros_like(now.x)
+    still = GimbalState(*(zero,) * len(now))
+    drift = attitude.rates_of(now, (zero, zero), terms.drift)
+    moving = (drift, *(GimbalState(*still[:8], *one) for one in terms[1:]))
+    return Affine(*(paper_rates(state, now, rates)[7:] for rates in moving))
 
 
 def mass_matrix(robot: Robot, state: State) -> Array:
-    """Inertia matrix C^T M C of the reduced dynamics, (5, 5), kg m2."""
-    lower = reduced(lump(robot, 0.0), tuple(jnp.asarray(state))).inertia
-    return jnp.array([[lower[max(i, j)][min(i, j)] for j in range(5)] for i in range(5)])
-
-
-def is_singular(state: State) -> Array:
-    """Tell (bool) whether the lean is within SINGULAR_LEAN of 0 or pi, where precession and spin become one."""
-    return jnp.abs(sincos(state[3])[0]) < np.sin(SINGULAR_LEAN)
-
-
-def status(state: State) -> Array:
-    """Status code of a state: SINGULAR_COORDINATES near a lean of 0 or pi, OK elsewhere."""
-    return jnp.where(is_singular(state), code(Status.SINGULAR_COORDINATES), code(Status.OK))
+    """Inertia matrix C^T M C of the reduced dynamics for v of the 12 paper coordinates `state`, (5, 5), kg m2."""
+    state = jnp.asarray(state)
+    now = attitude.of_state(state)
+    lower = reduced(lump(robot, 0.0), now, attitude.axes_of(now)).inertia
+    full = jnp.array([[lower[max(i, j)][min(i, j)] for j in range(5)] for i in range(5)])
+    turn = jax.jacfwd(lambda v: jnp.stack(attitude.of_state((*state[:7], *v))[8:]))(state[7:])
+    mass = turn.T @ full @ turn
+    return 0.5 * (mass + mass.T)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxsphere.models.spatial import frames
-from jaxsphere.models.spatial.frames import State
+from jaxsphere.models.spatial.frames import SpatialState, State
 from jaxsphere.numerics import Real
 from jaxsphere.numerics.linear_algebra import Vector3, dot
 from jaxsphere.robot import Robot
@@ -86,8 +86,9 @@ def lagrangian(robot: Robot, slope: Real, state: State, center: Velocity = None)
 
 def power(state: State, torque: Sequence[Array]) -> Array:
     """Mechanical power of the two motors, tau1 (phi' - beta1') + tau2 beta2', W."""
+    now = SpatialState(*state)
     drive, tilt = torque
-    return drive * (state[9] - state[10]) + tilt * state[11]
+    return drive * (now.spin_rate - now.gimbal_rate) + tilt * now.pendulum_rate
 
 
 def _translational(mass: Real, robot: Robot, state: State, center: Velocity) -> Real:

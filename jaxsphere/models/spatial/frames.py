@@ -22,6 +22,7 @@ Differs from the paper (`printed` keeps what is printed, where it can be evaluat
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,19 +32,30 @@ from jaxsphere.numerics import Real, sincos
 from jaxsphere.numerics.linear_algebra import Vector3, cross
 from jaxsphere.robot import Robot
 
-STATE_NAMES = (
-    *("x", "y", "precession", "lean", "spin", "gimbal_angle", "pendulum_angle"),
-    *("precession_rate", "lean_rate", "spin_rate", "gimbal_rate", "pendulum_rate"),
-)
-STATE_UNITS = (*("m",) * 2, *("rad",) * 5, *("rad/s",) * 5)
-IS_VELOCITY = (*(False,) * 7, *(True,) * 5)
-
 State = Sequence[Array] | Array
+
+
+class SpatialState(NamedTuple):
+    """The components of a state by name, in their order: `SpatialState(*state)`."""
+
+    x: Array  # m
+    y: Array  # m
+    precession: Array  # psi, rad
+    lean: Array  # theta, rad
+    spin: Array  # phi, rad
+    gimbal_angle: Array  # beta1, rad
+    pendulum_angle: Array  # beta2, rad
+    precession_rate: Array  # rad/s
+    lean_rate: Array  # rad/s
+    spin_rate: Array  # rad/s
+    gimbal_rate: Array  # rad/s
+    pendulum_rate: Array  # rad/s
 
 
 def body_rotation(state: State) -> Array:
     """Rotation R_B^O that takes components in B to components in O, (3, 3), Eq. (19)."""
-    (s_psi, c_psi), (s_theta, c_theta) = sincos(state[2]), sincos(state[3])
+    now = SpatialState(*state)
+    (s_psi, c_psi), (s_theta, c_theta) = sincos(now.precession), sincos(now.lean)
     return jnp.array(
         [
             [c_psi * c_theta, -s_psi, c_psi * s_theta],
@@ -58,8 +70,9 @@ def angular_velocity(state: State) -> Vector3:
 
     Differs from the paper: the printed vector is this one turned by +90 degrees about the normal.
     """
-    (s_psi, c_psi), (s_theta, c_theta) = sincos(state[2]), sincos(state[3])
-    psi_rate, theta_rate, spin_rate = state[7], state[8], state[9]
+    now = SpatialState(*state)
+    (s_psi, c_psi), (s_theta, c_theta) = sincos(now.precession), sincos(now.lean)
+    psi_rate, theta_rate, spin_rate = now.precession_rate, now.lean_rate, now.spin_rate
     along_x = -theta_rate * s_psi + spin_rate * c_psi * s_theta
     along_y = theta_rate * c_psi + spin_rate * s_psi * s_theta
     along_z = psi_rate + spin_rate * c_theta
@@ -80,8 +93,9 @@ def rolling_velocity(robot: Robot, state: State) -> tuple[Real, Real]:
 
     Differs from the paper: the printed pair is (-y', -x') of this one.
     """
-    (s_psi, c_psi), (s_theta, _) = sincos(state[2]), sincos(state[3])
-    theta_rate, spin_rate = state[8], state[9]
+    now = SpatialState(*state)
+    (s_psi, c_psi), (s_theta, _) = sincos(now.precession), sincos(now.lean)
+    theta_rate, spin_rate = now.lean_rate, now.spin_rate
     x_rate = robot.shell_radius * (theta_rate * c_psi + spin_rate * s_psi * s_theta)
     y_rate = robot.shell_radius * (theta_rate * s_psi - spin_rate * c_psi * s_theta)
     return x_rate, y_rate
@@ -89,7 +103,8 @@ def rolling_velocity(robot: Robot, state: State) -> tuple[Real, Real]:
 
 def center_position(robot: Robot, state: State) -> Vector3:
     """Centre of the sphere in O, m; z' = 0 keeps it a radius above the slope, Eq. (24), Eq. (25)."""
-    return state[0], state[1], robot.shell_radius + 0.0 * state[0]
+    now = SpatialState(*state)
+    return now.x, now.y, robot.shell_radius + 0.0 * now.x
 
 
 def gimbal_position(robot: Robot, state: State) -> Vector3:
@@ -99,14 +114,16 @@ def gimbal_position(robot: Robot, state: State) -> Vector3:
 
 def shell_angular_velocity(state: State) -> Vector3:
     """Angular velocity of the shell, components in B, rad/s, Eq. (26)."""
+    now = SpatialState(*state)
     along_x, along_y, along_z = frame_angular_velocity(state)
-    return along_x, along_y, along_z + state[9]
+    return along_x, along_y, along_z + now.spin_rate
 
 
 def frame_angular_velocity(state: State) -> Vector3:
     """Angular velocity of frame B itself, components in B, rad/s: precession and lean, no spin."""
-    s_theta, c_theta = sincos(state[3])
-    return -state[7] * s_theta, state[8], state[7] * c_theta
+    now = SpatialState(*state)
+    s_theta, c_theta = sincos(now.lean)
+    return -now.precession_rate * s_theta, now.lean_rate, now.precession_rate * c_theta
 
 
 def gimbal_angular_velocity(state: State) -> Vector3:
@@ -114,14 +131,16 @@ def gimbal_angular_velocity(state: State) -> Vector3:
 
     Differs from the paper: the last entry adds the rate of beta1, not beta1, and starts from the angular velocity of B.
     """
+    now = SpatialState(*state)
     along_x, along_y, along_z = frame_angular_velocity(state)
-    s_gimbal, c_gimbal = sincos(state[5])
-    return c_gimbal * along_x + s_gimbal * along_y, -s_gimbal * along_x + c_gimbal * along_y, along_z + state[10]
+    s_gimbal, c_gimbal = sincos(now.gimbal_angle)
+    return c_gimbal * along_x + s_gimbal * along_y, -s_gimbal * along_x + c_gimbal * along_y, along_z + now.gimbal_rate
 
 
 def pendulum_direction(state: State) -> Vector3:
     """Unit vector from the centre to the bob, components in O."""
-    (s_psi, c_psi), (s_theta, c_theta) = sincos(state[2]), sincos(state[3])
+    now = SpatialState(*state)
+    (s_psi, c_psi), (s_theta, c_theta) = sincos(now.precession), sincos(now.lean)
     along_x, along_y, along_z = pendulum_direction_in_body(state)
     out = c_theta * along_x + s_theta * along_z
     return c_psi * out - s_psi * along_y, s_psi * out + c_psi * along_y, -s_theta * along_x + c_theta * along_z
@@ -129,7 +148,8 @@ def pendulum_direction(state: State) -> Vector3:
 
 def pendulum_direction_in_body(state: State) -> Vector3:
     """Unit vector from the centre to the bob, components in B; (1, 0, 0) at beta1 = beta2 = 0."""
-    (s_gimbal, c_gimbal), (s_pendulum, c_pendulum) = sincos(state[5]), sincos(state[6])
+    now = SpatialState(*state)
+    (s_gimbal, c_gimbal), (s_pendulum, c_pendulum) = sincos(now.gimbal_angle), sincos(now.pendulum_angle)
     return c_gimbal * c_pendulum, s_gimbal * c_pendulum, -s_pendulum
 
 
@@ -150,7 +170,8 @@ def pendulum_velocity(robot: Robot, state: State, center: tuple[Real, Real] | No
 
 def constraint_matrix(robot: Robot, state: State) -> Array:
     """Matrix A(q) = [I, A2] of the rolling constraints, (2, 7), the one in (40)."""
-    (s_psi, c_psi), (s_theta, _) = sincos(state[2]), sincos(state[3])
+    now = SpatialState(*state)
+    (s_psi, c_psi), (s_theta, _) = sincos(now.precession), sincos(now.lean)
     zero, one, radius = jnp.zeros_like(s_psi), jnp.ones_like(s_psi), robot.shell_radius
     lean_x, spin_x = radius * c_psi, radius * s_psi * s_theta
     lean_y, spin_y = radius * s_psi, -radius * c_psi * s_theta

@@ -41,8 +41,8 @@ def null_space(robot: Robot, state: State) -> Array:
 def derivative(robot: Robot, slope: Real, state: Array, torque: Array) -> Array:
     """Time derivative (12,) of a state (12,) under drive and tilt torque (2,), with C^T (M C v' + M C' v + N) = C^T B tau."""
     place, velocity = state[:7], state[7:]
-    free, free_rate = jax.jvp(lambda q: null_space(robot, q), (place,), (null_space(robot, place) @ velocity,))
-    rates = free @ velocity
+    rates = null_space(robot, state) @ velocity
+    free, free_rate = jax.jvp(lambda q: null_space(robot, (*q, *velocity)), (place,), (rates,))
 
     def lagrangian(q: Array, rates: Array) -> Array:
         return jnp.asarray(energy.lagrangian(robot, slope, (*q, *rates[2:]), (rates[0], rates[1])))
