@@ -145,8 +145,8 @@ def closed_loop(
         sound = (loop.status == Status.OK) & (loop.index <= steps) & defined & finite
         moving = (loop.status == Status.OK) & (loop.index < steps)
         moves = moving & sound
-        fate = jnp.where(finite, plant.status(ahead[:size]), code(Status.NONFINITE))
-        fate = jnp.where(defined, fate, now.status)
+        next_status = jnp.where(finite, plant.status(ahead[:size]), code(Status.NONFINITE))
+        next_status = jnp.where(defined, next_status, now.status)
         measured = loop.measured
         if measure is not None:
             with jax.named_scope("measure"):
@@ -160,7 +160,7 @@ def closed_loop(
             torque=where(sound, now.torque, loop.torque),
             held=held,
             queued=queued,
-            status=jnp.where(moving, fate, loop.status),
+            status=jnp.where(moving, next_status, loop.status),
             end_time=jnp.where(moves, time + dt, loop.end_time),
             measured=measured,
         )
