@@ -26,12 +26,12 @@ CURVES = {"circle of 1 m at 0.5 m/s": (0.0, 0.5), "eight in 15 s": (1.0, 15.0), 
 class Cases(NamedTuple):
     """Paths and starts, (lanes,) each; a curve starts on itself."""
 
-    kind: np.ndarray  # 0 circle, 1 eight, 2 line
-    size: np.ndarray  # speed of a circle or line, m/s, or period of an eight, s
-    heading: np.ndarray  # of a line, rad
-    slope: np.ndarray  # rad
-    x: np.ndarray  # of the start less that of the path, m
-    y: np.ndarray
+    kind: Any  # 0 circle, 1 eight, 2 line
+    size: Any  # speed of a circle or line, m/s, or period of an eight, s
+    heading: Any  # of a line, rad
+    slope: Any  # rad
+    x: Any  # of the start less that of the path, m
+    y: Any
 
 
 class Followed(NamedTuple):
@@ -153,7 +153,7 @@ def report(lanes: int, seed: int) -> list[str]:
         found, first = follow(cases, realisation=name), 0
         for label, part in parts.items():
             slot = slice(first, first := first + len(part.kind))
-            rows += [f"{name}, {label}"] + _rows(jax.tree.map(lambda leaf, slot=slot: leaf[slot], found), len(part.kind) <= 3)
+            rows += [f"{name}, {label}", *_rows(jax.tree.map(lambda leaf, s=slot: leaf[s], found), len(part.kind) <= 3)]
     return rows
 
 

@@ -2,8 +2,8 @@
 
     x   state of the plant less that of the steady motion, then the law's memory     x' = A x + B u     u = -K x
 
-The steady motion is rest at the target (`PlanarTask`) or straight rolling along the reference (`SpatialTask`). Torque limits and
-sampling are left out. Coordinates that neither plant nor law depends on are left out too: the spin of the spatial robot.
+The steady motion is rest at the target (`PlanarTask`) or straight rolling along the reference (`SpatialTask`). Torque limits
+and sampling are left out, and so are coordinates that nothing depends on: the spin of the spatial robot.
 """
 
 from __future__ import annotations
