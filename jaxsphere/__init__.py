@@ -30,13 +30,15 @@ from jaxsphere.controllers.sliding_mode import SlidingModeGains  # noqa: E402
 from jaxsphere.controllers.sliding_mode import nonsingularity_margin as nonsingularity_margin  # noqa: E402
 from jaxsphere.controllers.sliding_mode import sliding_mode_poles as sliding_mode_poles  # noqa: E402
 from jaxsphere.controllers.tracking import TABLE_4, TrackingGains  # noqa: E402
-from jaxsphere.linear import linearise, poles  # noqa: E402
+from jaxsphere.linear import linearise  # noqa: E402
+from jaxsphere.linear import poles as poles  # noqa: E402
 from jaxsphere.models import equilibrium, planar, spatial  # noqa: E402
 from jaxsphere.models.equilibrium import climbing_bound, equilibrium_swing  # noqa: E402
 from jaxsphere.models.equilibrium import equilibria as equilibria  # noqa: E402
 from jaxsphere.models.equilibrium import zero_dynamics_poles as zero_dynamics_poles  # noqa: E402
-from jaxsphere.robot import Robot, robot_named, robots  # noqa: E402
+from jaxsphere.robot import Robot, robots  # noqa: E402
 from jaxsphere.robot import check_robot as check_robot  # noqa: E402
+from jaxsphere.robot import robot_named as robot_named  # noqa: E402
 from jaxsphere.simulation.batch import batch  # noqa: E402
 from jaxsphere.simulation.batch import use_all_cores as use_all_cores  # noqa: E402
 from jaxsphere.simulation.closed_loop import ClosedLoop as ClosedLoop  # noqa: E402
@@ -44,7 +46,7 @@ from jaxsphere.simulation.closed_loop import Measure as Measure  # noqa: E402
 from jaxsphere.simulation.closed_loop import Plant as Plant  # noqa: E402
 from jaxsphere.simulation.closed_loop import closed_loop as closed_loop  # noqa: E402
 from jaxsphere.simulation.host import RolloutError as RolloutError  # noqa: E402
-from jaxsphere.simulation.rollout import Trajectory  # noqa: E402
+from jaxsphere.simulation.rollout import Trajectory as Trajectory  # noqa: E402
 from jaxsphere.simulation.rollout import rollout as rollout  # noqa: E402
 from jaxsphere.status import ControllerOutput as ControllerOutput  # noqa: E402
 from jaxsphere.status import Status  # noqa: E402
@@ -77,7 +79,6 @@ __version__ = "0.1.0"
 __all__ = [
     "Robot",
     "SlidingModeGains",
-    "TABLE_4",
     "TrackingGains",
     "rest_to_rest",
     "track",
@@ -86,18 +87,16 @@ __all__ = [
     "SpatialTask",
     "Numerics",
     "simulate",
-    "linearise",
-    "poles",
     "climbing_bound",
-    "equilibrium_swing",
     "steepest_slope",
+    "linearise",
     "batch",
     "sweep",
     "open_sweep",
-    "Trajectory",
     "Status",
+    "TABLE_4",
+    "equilibrium_swing",
     "robots",
-    "robot_named",
     "axes",
     "equilibrium",
     "planar",

@@ -51,7 +51,8 @@ def bounded(low: float, high: float) -> Transform:
 _KNOWN: dict[Any, dict[str, Any]] = {
     SlidingModeGains: dict.fromkeys(("c1", "c2", "phi_z", "eta", "k"), POSITIVE) | {"z_u": UNIT, "k_i": FROZEN},
     TrackingGains: {
-        name: POSITIVE if name in ("k1", "k2", "k3", "k4") else FROZEN for name in TrackingGains.__dataclass_fields__
+        name: POSITIVE if name in ("k1", "k2", "k3", "k4", "axis_damping") else FROZEN
+        for name in TrackingGains.__dataclass_fields__
     },
 }
 

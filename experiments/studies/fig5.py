@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.figure import Figure
 
 import jaxsphere as js
 import tuning
@@ -44,7 +45,31 @@ def reproduce(record: Record, progress: bool = True) -> dict[str, Any]:
     result.save(record.folder / "fig5_tuning.json")
     tuned = {speed: _line(result.gains, speed, "axis_aligned") for speed in SPEEDS}
 
-    pictures = {
+    pictures = _pictures(ideal, robot, aligned, tuned, readings) | {"fig5_tuning": convergence_figure(result)}
+    for name, picture in pictures.items():
+        record.picture(name, picture)
+    runs = {
+        "ideal": {f"{v:g} m/s": figures(run) | {"largest_deviation_from_59_m": _from_59(run, v)} for v, run in ideal.items()},
+        "pendulum_attitude": {f"{v:g} m/s": figures(run) for v, run in robot.items()},
+        "axis_aligned": {f"{v:g} m/s": figures(run) for v, run in aligned.items()},
+        **{name: figures(run) for name, run in readings.items()},
+        "tuned": {f"{v:g} m/s": figures(run) for v, run in tuned.items()},
+        "curves": {name: figures(run) for name, run in _curves(table, "pendulum_attitude").items()},
+        "curves, axis_aligned": {name: figures(run) for name, run in _curves(js.TrackingGains(), "axis_aligned").items()},
+    }
+    return {
+        "summary": _summary(runs),
+        **runs,
+        "tuned_gains": result.gains,
+        "zero_dynamics_poles": jnp.real(js.tracking.zero_dynamics_poles(js.Robot(), SLOPE)),
+    }
+
+
+Runs = dict[float, js.Trajectory]
+
+
+def _pictures(ideal: Runs, robot: Runs, aligned: Runs, tuned: Runs, readings: dict[str, js.Trajectory]) -> dict[str, Figure]:
+    return {
         "fig5_ideal": tracking.tracking_figure(
             "The claim: v' = u with no torques (“ideal”), Table 4",
             [named(f"{v:g} m/s", ideal[v], v) for v in SPEEDS],
@@ -78,24 +103,6 @@ def reproduce(record: Record, progress: bool = True) -> dict[str, Any]:
             ZOOM,
         ),
         "fig5_friction": tracking.friction_figure([named(f"{v:g} m/s", robot[v], v) for v in SPEEDS]),
-        "fig5_tuning": convergence_figure(result),
-    }
-    for name, picture in pictures.items():
-        record.picture(name, picture)
-    runs = {
-        "ideal": {f"{v:g} m/s": figures(run) | {"largest_deviation_from_59_m": _from_59(run, v)} for v, run in ideal.items()},
-        "pendulum_attitude": {f"{v:g} m/s": figures(run) for v, run in robot.items()},
-        "axis_aligned": {f"{v:g} m/s": figures(run) for v, run in aligned.items()},
-        **{name: figures(run) for name, run in readings.items()},
-        "tuned": {f"{v:g} m/s": figures(run) for v, run in tuned.items()},
-        "curves": {name: figures(run) for name, run in _curves(table, "pendulum_attitude").items()},
-        "curves, axis_aligned": {name: figures(run) for name, run in _curves(js.TrackingGains(), "axis_aligned").items()},
-    }
-    return {
-        "summary": _summary(runs),
-        **runs,
-        "tuned_gains": result.gains,
-        "zero_dynamics_poles": jnp.real(js.tracking.zero_dynamics_poles(js.Robot(), SLOPE)),
     }
 
 

@@ -18,25 +18,26 @@ Differs from the paper (`printed` has what is printed of (47), (48) and (53)):
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.checks import require_choice, require_scalar
+from jaxsphere.checks import require_choice
 from jaxsphere.controllers import axis_aligned, printed
 from jaxsphere.controllers.lean import Joints, Lean, balancing_lean, joints_to, limit
 from jaxsphere.controllers.references import Pair, Reference, ReferenceFunction
 from jaxsphere.controllers.spin_axis import posture_of
+from jaxsphere.controllers.tracking_gains import TABLE_4 as TABLE_4
+from jaxsphere.controllers.tracking_gains import TrackingGains
+from jaxsphere.controllers.tracking_gains import check_gains as check_gains
 from jaxsphere.models.spatial import Affine, GimbalState, Lumped, SpatialState, State, attitude, dynamics, frames
 from jaxsphere.models.spatial.attitude import Axes
 from jaxsphere.numerics import Real, evaluate_once
 from jaxsphere.numerics.linear_algebra import Vector3, cross, solve_pair
 from jaxsphere.robot import Robot
 from jaxsphere.status import ControllerOutput, Status, code
-from jaxsphere.units import quantity
 
 # Cosine of beta2 below which the pendulum points along the spin axis.
 _ALONG_AXIS = 1e-6
@@ -48,28 +49,6 @@ REALISATIONS = ("axis_aligned", "pendulum_attitude", "exact", "pseudo_inverse", 
 
 # Those that lean the pendulum and control the two joints.
 BY_ATTITUDE = ("axis_aligned", "pendulum_attitude")
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class TrackingGains:
-    """Gains of tracking; the defaults are for "axis_aligned", Table 4 is TABLE_4.
-
-    With "axis_aligned" k1 and k2 act along the path, k3 and k4 across it; else k1 and k2 along x, k3 and k4 along y. k_p, k_d
-    and a_max are used by it and by "pendulum_attitude".
-    """
-
-    k1: Real = quantity(16.0, "1/s2", "on the error along the path, or of x")
-    k2: Real = quantity(9.0, "1/s", "on its rate")
-    k3: Real = quantity(3.4, "1/s2", "on the error across the path, or of y")
-    k4: Real = quantity(3.2, "1/s", "on its rate")
-    k_p: Real = quantity(900.0, "1/s2", "of both joints")
-    k_d: Real = quantity(60.0, "1/s", "of both joints")
-    a_max: Real = quantity(1.3, "m/s2", "largest acceleration asked for")
-    axis_damping: Real = quantity(0.38, "", "damping ratio of the spin axis's coning")
-
-
-TABLE_4 = TrackingGains(k1=49.0, k2=14.0, k3=49.0, k4=14.0, a_max=1.0)
 
 
 class Pairs(NamedTuple):
@@ -90,15 +69,6 @@ class Signals(NamedTuple):
     joints: Joints
     determinant: Array  # of the two equations solved for the torques, positive while they can be, 1/(kg2 m4)
     torque: tuple[Array, ...]  # before the torque limit, N m; five accelerations, rad/s2, for "ideal"
-
-
-def check_gains(gains: TrackingGains, name: str = "gains") -> TrackingGains:
-    """Check gains on the host and return them. Raises ValueError for a gain that is not one finite positive number."""
-    if not isinstance(gains, TrackingGains):
-        raise TypeError(f"{name} = {gains!r} are no TrackingGains; type jaxsphere.TrackingGains(k1=49.0, ...)")
-    for leaf in fields(gains):
-        require_scalar(f"{name}.{leaf.name}", getattr(gains, leaf.name), above=0.0)
-    return gains
 
 
 def output(state: State) -> Pair:

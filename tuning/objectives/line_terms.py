@@ -13,10 +13,11 @@ from jaxsphere.numerics import Real
 
 # Ranges for Latin-hypercube starts of a robot like set A with a motor of 5 N m.
 SPATIAL_BOUNDS = {
-    "k1": (10.0, 150.0),
-    "k2": (4.0, 50.0),
-    "k3": (10.0, 150.0),
-    "k4": (4.0, 50.0),
+    "k1": (4.0, 100.0),
+    "k2": (4.0, 30.0),
+    "k3": (1.0, 12.0),
+    "k4": (1.5, 10.0),
+    "axis_damping": (0.1, 0.8),
     "k_p": (300.0, 2000.0),
     "k_d": (25.0, 120.0),
     "a_max": (0.5, 2.0),
