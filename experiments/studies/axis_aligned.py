@@ -1,11 +1,12 @@
 """What `axis_aligned` does: poles round the compass, Table 4's start, lines, a fleet of random starts, and curves.
 
-Prints the table: python -m experiments.studies.axis_aligned [lanes] [seed]
+python -m experiments.studies.axis_aligned LANES SEED LAW... prints the table, e.g. 1024 1 axis_aligned pendulum_attitude
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -137,8 +138,8 @@ def quantiles(values: Any, status: Any) -> str:
     return " / ".join(f"{np.quantile(counted, q, method='higher'):.4f}" for q in (0.5, 0.9, 0.99))
 
 
-def report(lanes: int, seed: int) -> list[str]:
-    """Rows of the table."""
+def report(lanes: int, seed: int, laws: Sequence[str]) -> list[str]:
+    """Rows of the table, law by law."""
     grid = np.meshgrid(HELD_OUT_SPEEDS, range(3))
     x, y = np.array(HELD_OUT_STARTS)[grid[1].ravel()].T
     parts = {
@@ -149,7 +150,7 @@ def report(lanes: int, seed: int) -> list[str]:
     }
     cases = Cases(*(np.concatenate(columns) for columns in zip(*parts.values(), strict=True)))
     rows = []
-    for name in ("axis_aligned", "pendulum_attitude"):
+    for name in laws:
         found, first = follow(cases, realisation=name), 0
         for label, part in parts.items():
             slot = slice(first, first := first + len(part.kind))
@@ -171,4 +172,4 @@ def _rows(found: Followed, each: bool) -> list[str]:
 
 if __name__ == "__main__":
     js.use_all_cores()
-    print("\n".join(report(*(int(word) for word in (sys.argv[1:] + ["1024", "20261125"][len(sys.argv) - 1 :])))))
+    print("\n".join(report(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3:])))

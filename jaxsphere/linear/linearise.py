@@ -17,6 +17,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Complex, Float
 
+from jaxsphere.simulation.closed_loop import State
+
 
 class Linearisation(NamedTuple):
     """Matrices of the plant and of the closed loop; every entry may be batched by `jax.vmap`."""
@@ -43,6 +45,11 @@ def linearise(task: Any, gains: Any = None) -> Linearisation:
     """
     gains = task.default_gains() if gains is None else gains
     state, memory = task.steady_motion()
+    return _matrices(task, gains, tuple(state), tuple(memory))
+
+
+@jax.jit
+def _matrices(task: Any, gains: Any, state: State, memory: State) -> Linearisation:
     point = jnp.stack([jnp.asarray(x, float) for x in (*state, *memory)])
     kept = np.array([i for i in range(len(point)) if i not in task.CYCLIC])
     plant, law, size = task.dynamics(), task.law(gains), len(state)
