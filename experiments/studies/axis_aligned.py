@@ -17,7 +17,7 @@ from jax import Array
 import jaxsphere as js
 from experiments.studies.lines import HELD_OUT_STARTS
 from experiments.studies.settings import HELD_OUT_SPEEDS
-from jaxsphere import references
+from jaxsphere import linear, references
 
 CONTROL_PERIOD = 1e-3
 AFTER = (5.0, 10.0, 15.0)  # s, from when on the worst error is taken
@@ -121,14 +121,18 @@ def _measure(reference: Any) -> js.Measure:
     return js.Measure(((zero,) * 3, zero, zero, (zero,) * 2, (zero,) * 2), update, finish)
 
 
-def poles(gains: js.TrackingGains, speeds: Any, headings: Any, slopes: Any) -> np.ndarray:
-    """Poles (lanes, 11) of rolling straight, 1/s, the vertical spin's first; arrays of one shape (lanes,)."""
+def rolling(gains: js.TrackingGains, speeds: Any, slopes: Any, headings: Any) -> linear.Linearisation:
+    """Closed loops of rolling straight, one for each entry of three arrays (lanes,) in m/s, rad and rad."""
 
-    def one(speed: Array, heading: Array, slope: Array) -> Array:
-        task = js.SpatialTask(slope=slope, reference=references.line(speed, heading))
-        return js.linearise(task, gains).closed_loop
+    def one(speed: Array, slope: Array, heading: Array) -> linear.Linearisation:
+        return js.linearise(js.SpatialTask(slope=slope, reference=references.line(speed, heading)), gains)
 
-    found = np.linalg.eigvals(jax.jit(jax.vmap(one))(speeds, headings, slopes))
+    return jax.vmap(one)(speeds, slopes, headings)
+
+
+def sorted_poles(closed_loops: Any) -> np.ndarray:
+    """Poles (lanes, 11), 1/s, that of the vertical spin first."""
+    found = np.linalg.eigvals(closed_loops)
     return np.take_along_axis(found, np.argsort(np.abs(found), axis=-1), axis=-1)
 
 
