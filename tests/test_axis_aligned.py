@@ -161,4 +161,4 @@ def test_gradients_over_the_whole_horizon_agree():
         np.testing.assert_allclose(forward[:, i], (ends[0] - ends[1]) / (2.0 * step), rtol=1e-5)
     assert np.abs(forward).min() > 1e-3
     # An unstable loop would let this grow with the horizon, without bound.
-    assert np.all(np.linalg.norm(of_state * chosen, axis=(1, 2)) < 10.0)
+    assert np.all(np.linalg.norm(np.asarray(of_state) * np.asarray(chosen), axis=(1, 2)) < 10.0)
