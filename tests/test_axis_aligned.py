@@ -58,34 +58,39 @@ def test_only_gravity_changes_the_momentum_about_the_contact_point(rng):
 
 
 @pytest.fixture(scope="module")
-def rolling_poles():
-    """(speed, slope, heading) and the poles of rolling there with the default gains."""
+def compass():
+    """Speeds (lanes,) and the loops of rolling at them on three slopes to twelve headings."""
     grid = np.meshgrid([0.1, 0.2, 0.5, 1.0, 1.2], np.deg2rad([0.0, 10.0, 14.0]), np.deg2rad(np.arange(0.0, 360.0, 30.0)))
-    speeds, slopes, headings = (axis.ravel() for axis in grid)
-    return speeds, study.poles(GAINS, speeds, headings, slopes)
+    lanes = [axis.ravel() for axis in grid]
+    found = jax.jit(study.rolling, compiler_options=FAST)(jax.tree.map(float, GAINS), *lanes)
+    return lanes[0], jax.tree.map(np.asarray, found)
 
 
-def test_rolling_is_stable_at_every_speed_heading_and_slope(rolling_poles):
-    speeds, found = rolling_poles
-    assert np.abs(found[:, 0]).max() < 1e-9, "the vertical spin, which no torque reaches"
-    rest = found[:, 1:].real.max(axis=-1)
+def test_rolling_is_stable_at_every_speed_heading_and_slope(compass):
+    speeds, found = compass
+    poles = study.sorted_poles(found.closed_loop)
+    assert np.abs(poles[:, 0]).max() < 1e-9, "the vertical spin, which no torque reaches"
+    rest = poles[:, 1:].real.max(axis=-1)
     assert rest.max() < -0.15
     # The slowest pair across the path and the coning are in proportion to the speed, until the joints are slower.
     assert rest[speeds >= 0.5].max() < -1.0
 
 
-def test_linearise_tells_what_no_torque_reaches():
-    rolling = js.linearise(js.SpatialTask())
-    np.testing.assert_allclose(linear.unreachable_poles(rolling), 0.0, atol=1e-9)
-    assert linear.unreachable_poles(rolling).shape == (1,)
-    assert float(linear.return_difference(rolling)) > 0.5
+def test_linearise_tells_what_no_torque_reaches(compass):
+    # 10 degrees, 0.5 m/s, a heading of 30 degrees.
+    sloped = jax.tree.map(lambda leaf: leaf[85], compass[1])
+    assert linear.unreachable_poles(sloped).shape == (1,)
+    np.testing.assert_allclose(linear.unreachable_poles(sloped), 0.0, atol=1e-9)
+    assert float(linear.return_difference(sloped)) > 0.5
     with pytest.raises(ValueError, match="straight line"):
         js.linearise(js.SpatialTask(reference=references.circle(1.0, 0.5)))
 
 
 def test_linearise_finds_the_coning_of_the_other_law():
-    slow = js.SpatialTask(reference=references.line(0.2), realisation="pendulum_attitude")
-    poles = np.asarray(js.poles(js.linearise(slow)))
+    def of(speed):
+        return js.linearise(js.SpatialTask(reference=references.line(speed), realisation="pendulum_attitude"))
+
+    poles = np.asarray(js.poles(jax.jit(of, compiler_options=FAST)(0.2)))
     unstable = poles[(poles.real > 0.1) & (poles.imag > 0.0)]
     np.testing.assert_allclose(unstable, [2.088 + 25.787j], atol=1e-3)
     # The coning, at the rate of rolling v / r, is hardly damped at all.
@@ -113,7 +118,7 @@ def followed():
 
 def test_a_fleet_of_random_starts_converges(followed):
     assert np.all(followed.status == js.Status.OK)
-    for worst, limits in zip(followed.worst, ((0.2, 1.5, 8.0), (0.01, 0.15, 2.0), (0.001, 0.05, 1.0)), strict=True):
+    for worst, limits in zip(followed.worst, ((0.2, 1.5, 20.0), (0.01, 0.15, 2.0), (0.001, 0.05, 1.0)), strict=True):
         assert np.all(100.0 * np.quantile(worst[:60], (0.5, 0.9, 0.99)) <= limits)
     assert np.median(followed.lean) < np.deg2rad(20.0)
 
@@ -156,4 +161,4 @@ def test_gradients_over_the_whole_horizon_agree():
         np.testing.assert_allclose(forward[:, i], (ends[0] - ends[1]) / (2.0 * step), rtol=1e-5)
     assert np.abs(forward).min() > 1e-3
     # An unstable loop would let this grow with the horizon, without bound.
-    assert np.all(np.linalg.norm(of_state * chosen, axis=(1, 2)) < 10.0)
+    assert np.all(np.linalg.norm(np.asarray(of_state) * np.asarray(chosen), axis=(1, 2)) < 10.0)

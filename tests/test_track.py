@@ -128,7 +128,8 @@ def test_way_points_are_passed_and_rest_at_both_ends():
 
 def test_what_the_robot_cannot_do_is_a_status_in_a_batch_and_a_sentence_alone():
     # Behind and below the line, so that the first demand points up-slope.
-    options = {"start": (-0.3, -0.1), "duration": 1.0, "dt": 4e-3, "settled_after": 0.9}
+    law = {"gains": js.TABLE_4, "realisation": "pendulum_attitude"}
+    options = law | {"start": (-0.3, -0.1), "duration": 1.0, "dt": 4e-3, "settled_after": 0.9}
 
     def status(slope, speed):
         return js.track_line(ROBOT, slope, speed=speed, save_every=None, **options).status
@@ -145,6 +146,7 @@ def test_what_the_robot_cannot_do_is_a_status_in_a_batch_and_a_sentence_alone():
 
 def test_an_eight_beyond_the_motor_is_not_settled_and_finite():
     options = {"duration": 8.0, "dt": 4e-3, "control_period": 4e-3, "save_every": 50, "throw": False}
+    options |= {"gains": js.TABLE_4, "realisation": "pendulum_attitude"}
     run = js.track(ROBOT, SLOPE, references.figure_eight(1.0, 10.0), **options)
     assert int(run.status) == js.Status.NOT_SETTLED
     assert np.all(np.isfinite(run.state))

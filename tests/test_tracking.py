@@ -1,4 +1,4 @@
-"""Tracking: the outer loop, the four realisations, and the robot that follows a line here and in MuJoCo."""
+"""Tracking: the outer loop, the five realisations, and the robot that follows a line here and in MuJoCo."""
 
 import dataclasses
 from functools import partial
@@ -134,9 +134,10 @@ def test_realisations_do_what_their_equations_say():
         np.testing.assert_allclose(outcome["ideal"], np.linalg.pinv(decoupling) @ wanted, rtol=1e-9, atol=1e-9)
         determinant = tracking.decoupling_determinant(UNEQUAL, SLOPE, components)
         assert determinant == pytest.approx(np.linalg.det(decoupling @ columns), rel=1e-8)
-        joints = now["pendulum_attitude"].joints
-        servo = 900.0 * np.array(joints.error) + 60.0 * np.array(joints.rate)
-        np.testing.assert_allclose(outcome["pendulum_attitude"][3:], servo, rtol=1e-8, atol=1e-8)
+        for name in tracking.BY_ATTITUDE:
+            joints = now[name].joints
+            servo = 900.0 * np.array(joints.error) + 60.0 * np.array(joints.rate)
+            np.testing.assert_allclose(outcome[name][3:], servo, rtol=1e-8, atol=1e-8)
         assert float(jnp.hypot(*now["pendulum_attitude"].limited)) < 1.0 + 1e-12
 
 

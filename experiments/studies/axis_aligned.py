@@ -1,11 +1,12 @@
 """What `axis_aligned` does: poles round the compass, Table 4's start, lines, a fleet of random starts, and curves.
 
-Prints the table: python -m experiments.studies.axis_aligned [lanes] [seed]
+python -m experiments.studies.axis_aligned LANES SEED LAW... prints the table, e.g. 1024 1 axis_aligned pendulum_attitude
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +17,7 @@ from jax import Array
 import jaxsphere as js
 from experiments.studies.lines import HELD_OUT_STARTS
 from experiments.studies.settings import HELD_OUT_SPEEDS
-from jaxsphere import references
+from jaxsphere import linear, references
 
 CONTROL_PERIOD = 1e-3
 AFTER = (5.0, 10.0, 15.0)  # s, from when on the worst error is taken
@@ -120,14 +121,18 @@ def _measure(reference: Any) -> js.Measure:
     return js.Measure(((zero,) * 3, zero, zero, (zero,) * 2, (zero,) * 2), update, finish)
 
 
-def poles(gains: js.TrackingGains, speeds: Any, headings: Any, slopes: Any) -> np.ndarray:
-    """Poles (lanes, 11) of rolling straight, 1/s, the vertical spin's first; arrays of one shape (lanes,)."""
+def rolling(gains: js.TrackingGains, speeds: Any, slopes: Any, headings: Any) -> linear.Linearisation:
+    """Closed loops of rolling straight, one for each entry of three arrays (lanes,) in m/s, rad and rad."""
 
-    def one(speed: Array, heading: Array, slope: Array) -> Array:
-        task = js.SpatialTask(slope=slope, reference=references.line(speed, heading))
-        return js.linearise(task, gains).closed_loop
+    def one(speed: Array, slope: Array, heading: Array) -> linear.Linearisation:
+        return js.linearise(js.SpatialTask(slope=slope, reference=references.line(speed, heading)), gains)
 
-    found = np.linalg.eigvals(jax.jit(jax.vmap(one))(speeds, headings, slopes))
+    return jax.vmap(one)(speeds, slopes, headings)
+
+
+def sorted_poles(closed_loops: Any) -> np.ndarray:
+    """Poles (lanes, 11), 1/s, that of the vertical spin first."""
+    found = np.linalg.eigvals(closed_loops)
     return np.take_along_axis(found, np.argsort(np.abs(found), axis=-1), axis=-1)
 
 
@@ -137,8 +142,8 @@ def quantiles(values: Any, status: Any) -> str:
     return " / ".join(f"{np.quantile(counted, q, method='higher'):.4f}" for q in (0.5, 0.9, 0.99))
 
 
-def report(lanes: int, seed: int) -> list[str]:
-    """Rows of the table."""
+def report(lanes: int, seed: int, laws: Sequence[str]) -> list[str]:
+    """Rows of the table, law by law."""
     grid = np.meshgrid(HELD_OUT_SPEEDS, range(3))
     x, y = np.array(HELD_OUT_STARTS)[grid[1].ravel()].T
     parts = {
@@ -149,7 +154,7 @@ def report(lanes: int, seed: int) -> list[str]:
     }
     cases = Cases(*(np.concatenate(columns) for columns in zip(*parts.values(), strict=True)))
     rows = []
-    for name in ("axis_aligned", "pendulum_attitude"):
+    for name in laws:
         found, first = follow(cases, realisation=name), 0
         for label, part in parts.items():
             slot = slice(first, first := first + len(part.kind))
@@ -171,4 +176,4 @@ def _rows(found: Followed, each: bool) -> list[str]:
 
 if __name__ == "__main__":
     js.use_all_cores()
-    print("\n".join(report(*(int(word) for word in (sys.argv[1:] + ["1024", "20261125"][len(sys.argv) - 1 :])))))
+    print("\n".join(report(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3:])))

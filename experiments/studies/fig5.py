@@ -75,23 +75,13 @@ def _pictures(ideal: Runs, robot: Runs, aligned: Runs, tuned: Runs, readings: di
             [named(f"{v:g} m/s", ideal[v], v) for v in SPEEDS],
             zoom=ZOOM,
         ),
-        "fig5": tracking.tracking_figure(
-            "The robot: pendulum attitude, Table 4, |τ| ≤ 5 N m, 1 kHz hold, 10° slope",
-            [named(f"{v:g} m/s", robot[v], v) for v in SPEEDS],
-            TORQUE_LIMIT,
-            ZOOM,
-        ),
+        "fig5": _robot_figure("pendulum attitude, Table 4", robot),
         "fig5_realisations": tracking.realisations_figure(
             "Three readings of the controller on the robot at 0.5 m/s, |τ| ≤ 5 N m",
             [named(name.replace("_", " "), run, 0.5) for name, run in {**readings, "pendulum_attitude": robot[0.5]}.items()],
             until=2.5,
         ),
-        "fig5_aligned": tracking.tracking_figure(
-            "The robot: axis aligned, |τ| ≤ 5 N m, 1 kHz hold, 10° slope",
-            [named(f"{v:g} m/s", aligned[v], v) for v in SPEEDS],
-            TORQUE_LIMIT,
-            ZOOM,
-        ),
+        "fig5_aligned": _robot_figure("axis aligned", aligned),
         "fig5_tuned": tracking.tracking_figure(
             "Pendulum attitude with Table 4 against axis aligned at 0.5 m/s, |τ| ≤ 5 N m, 1 kHz hold",
             [
@@ -104,6 +94,11 @@ def _pictures(ideal: Runs, robot: Runs, aligned: Runs, tuned: Runs, readings: di
         ),
         "fig5_friction": tracking.friction_figure([named(f"{v:g} m/s", robot[v], v) for v in SPEEDS]),
     }
+
+
+def _robot_figure(law: str, runs: dict[float, js.Trajectory]) -> Figure:
+    title = f"The robot: {law}, |τ| ≤ 5 N m, 1 kHz hold, 10° slope"
+    return tracking.tracking_figure(title, [named(f"{v:g} m/s", run, v) for v, run in runs.items()], TORQUE_LIMIT, ZOOM)
 
 
 def figures(trajectory: js.Trajectory) -> dict[str, Any]:

@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Complex, Float
 
-from jaxsphere.simulation.closed_loop import shown_rates
+from jaxsphere.simulation.closed_loop import State, shown_rates
 
 
 class Linearisation(NamedTuple):
@@ -46,6 +46,11 @@ def linearise(task: Any, gains: Any = None) -> Linearisation:
     """
     gains = task.default_gains() if gains is None else gains
     state, memory = task.steady_motion()
+    return _matrices(task, gains, tuple(state), tuple(memory))
+
+
+@jax.jit
+def _matrices(task: Any, gains: Any, state: State, memory: State) -> Linearisation:
     point = jnp.stack([jnp.asarray(x, float) for x in (*state, *memory)])
     kept = np.array([i for i in range(len(point)) if i not in task.CYCLIC])
     plant, law, size = task.dynamics(), task.law(gains), len(state)
