@@ -1,6 +1,7 @@
 """The walls of the house: who imports whom, and where each numbered equation lives."""
 
 import ast
+import inspect
 import re
 import sys
 from pathlib import Path
@@ -256,3 +257,10 @@ def test_functions_fit_a_screen_and_files_are_short(package):
                 length = node.end_lineno - node.lineno + 1
                 signature = node.body[0].lineno - node.lineno
                 assert length - docstring - signature <= 60, f"{path}: {node.name} has {length - docstring - signature} lines"
+
+
+def test_few_names_stand_at_the_top_and_those_to_begin_with_come_first():
+    names = [name for name in jaxsphere.__all__ if not inspect.ismodule(getattr(jaxsphere, name))]
+    assert len(names) == len(set(names)) <= 20
+    assert jaxsphere.__all__[: len(names)] == names, "the modules come last"
+    assert jaxsphere.__all__[:3] == ["Robot", "SlidingModeGains", "TrackingGains"]

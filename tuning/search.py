@@ -156,9 +156,11 @@ def _optimiser(asked: Any, learning_rate: float, iterations: int | None) -> tupl
         require_choice("optimiser", asked, tuple(_ITERATIONS))
         known = {"lbfgs": lbfgs, "lm": levenberg_marquardt, "adam": lambda: adam(cosine_decay(learning_rate, iterations))}
         return known[asked](), label, iterations
-    if not isinstance(asked, Optimiser) and (type(asked) is not tuple or len(asked) != 2 or not all(map(callable, asked))):
+    if isinstance(asked, Optimiser):
+        return asked, label, iterations
+    if type(asked) is not tuple or len(asked) != 2 or not all(map(callable, asked)):
         raise ValueError(f"optimiser = {asked!r} is none; type one of {', '.join(_ITERATIONS)}, or a pair (init, update)")
-    return Optimiser(*asked), label, iterations
+    return asked if isinstance(asked, Optimiser) else Optimiser(asked[0], asked[1]), label, iterations
 
 
 def _checked(search: _Search) -> Float[Array, " n"]:

@@ -100,10 +100,10 @@ def release_figure(bounds: np.ndarray, simulated: np.ndarray) -> Figure:
 def bound_figure(found: BoundMap, title: str, mark: tuple[float, float, str] | None = None) -> Figure:
     """Draw gamma* over two parameters, hatched where the flat is not climbed, and what happens just above it."""
     fig, axes = figure(1, 2, (11.0, 4.4))
-    surface, fate = axes.flat
+    surface, ends = axes.flat
     degrees = np.ma.masked_invalid(np.rad2deg(found.value))
     extent = _extent(found.x.values, found.y.values)
-    for panel in (surface, fate):
+    for panel in (surface, ends):
         panel.set_facecolor("0.85")
         panel.grid(False)
     image = surface.imshow(degrees, origin="lower", extent=extent, aspect="auto", cmap="cividis", interpolation="nearest")
@@ -112,8 +112,8 @@ def bound_figure(found: BoundMap, title: str, mark: tuple[float, float, str] | N
         surface.clabel(lines, fmt="%.3g°", fontsize=7)
     fig.colorbar(image, ax=surface, label="closed-loop bound γ* (deg)")
     shown = np.where(np.isnan(found.value), -1, found.status)
-    _draw_classes(fate, shown, extent, "how climbs end just above γ*", {-1: ("flat not climbed", "#d9d9d9")})
-    for panel in (surface, fate):
+    _draw_classes(ends, shown, extent, "how climbs end just above γ*", {-1: ("flat not climbed", "#d9d9d9")})
+    for panel in (surface, ends):
         if mark is not None:
             panel.plot(*mark[:2], "*", color="white", markeredgecolor="black", markersize=12, label=mark[2])
         name_axes(panel, found.x.label, found.y.label, legend=False)

@@ -69,7 +69,7 @@ def realisations_figure(title: str, tracks: Sequence[Track], until: float) -> Fi
         shown = time <= until
         if int(track.trajectory.status) not in (js.Status.OK, js.Status.NOT_SETTLED):
             style = {**style, "marker": "x", "markevery": [int(shown.sum()) - 1], "markersize": 8}
-        distance.plot(time[shown], np.hypot(*error.T)[shown], label=f"{track.label}: {_fate(track)}", **style)
+        distance.plot(time[shown], np.hypot(*error.T)[shown], label=f"{track.label}: {_ending(track)}", **style)
         lean.plot(time[shown], np.rad2deg(state[shown, 3]), label=track.label, **style)
         drive.plot(time[shown], torques[shown, 0], label=track.label, **style)
         tilt.plot(time[shown], torques[shown, 1], label=track.label, **style)
@@ -116,7 +116,7 @@ def speeds_figure(title: str, sets: Sequence[tuple[str, Sequence[float], np.ndar
     return fig
 
 
-def _fate(track: Track) -> str:
+def _ending(track: Track) -> str:
     status = js.Status(int(track.trajectory.status))
     words = status.name.lower().replace("_", " ")
     early = status not in (js.Status.OK, js.Status.NOT_SETTLED)

@@ -26,12 +26,12 @@ CURVES = {"circle of 1 m at 0.5 m/s": (0.0, 0.5), "eight in 15 s": (1.0, 15.0), 
 class Cases(NamedTuple):
     """Paths and starts, (lanes,) each; a curve starts on itself."""
 
-    kind: np.ndarray  # 0 circle, 1 eight, 2 line
-    size: np.ndarray  # speed of a circle or line, m/s, or period of an eight, s
-    heading: np.ndarray  # of a line, rad
-    slope: np.ndarray  # rad
-    x: np.ndarray  # of the start less that of the path, m
-    y: np.ndarray
+    kind: Any  # 0 circle, 1 eight, 2 line
+    size: Any  # speed of a circle or line, m/s, or period of an eight, s
+    heading: Any  # of a line, rad
+    slope: Any  # rad
+    x: Any  # of the start less that of the path, m
+    y: Any
 
 
 class Followed(NamedTuple):

@@ -35,14 +35,17 @@ from jaxsphere.controllers.lean import Pair, balancing_lean
 from jaxsphere.controllers.references import Reference
 from jaxsphere.controllers.spin_axis import ZERO, PathFrame, Posture, axis_target, combine, once, path_frame, yaw_of
 from jaxsphere.models.spatial import Lumped
-from jaxsphere.numerics import Real, evaluate_once
+from jaxsphere.numerics import Real
 from jaxsphere.numerics.linear_algebra import Vector3, dot
 
 if TYPE_CHECKING:
     from jaxsphere.controllers.tracking import TrackingGains
 
 # Across the path no faster than this many radians per radian of rolling, but as fast as so many 1/s in any case.
-FASTEST, SLOWEST = 0.85, 0.4
+FASTEST, SLOWEST = 0.8, 0.35
+
+# Difference of the velocities of robot and path (m/s) from which on the robot's own counts for the spin axis.
+CREDIT = 0.25
 
 # Below this rate of rolling (rad/s) the axis is not damped.
 SLOW_ROLL = 0.43
@@ -54,13 +57,13 @@ LEAN_MARGIN, LEAN_SHARE = 0.12, 0.5
 class Sideways(NamedTuple):
     """Gains across the path at one rate of rolling."""
 
-    error: Array  # f_e, 1/s2
-    error_rate: Array  # f_e', 1/s
-    heading: Array  # f_p, m/s2
-    lean: Array  # f_q, m/s2
+    error: Real  # f_e, 1/s2
+    error_rate: Real  # f_e', 1/s
+    heading: Real  # f_p, m/s2
+    lean: Real  # f_q, m/s2
 
 
-def sideways_gains(gains: TrackingGains, radius: Real, rolling: Array, per_error: Array, per_demand: Array) -> Sideways:
+def sideways_gains(gains: TrackingGains, radius: Real, rolling: Array, per_error: Real, per_demand: Real) -> Sideways:
     """Place the four poles across the path.
 
     Args:
@@ -82,6 +85,17 @@ def sideways_gains(gains: TrackingGains, radius: Real, rolling: Array, per_error
     return Sideways(k3 + per_error * heading, k4 + 2.0 * zeta * rolling + rolling * per_demand * lean, heading, lean)
 
 
+def followed_velocity(reference: Reference, posture: Posture) -> Pair:
+    """Velocity of the path, or the robot's own as soon as the two differ by more than CREDIT, m/s.
+
+    What is known about the spin axis holds for small differences; a robot that catches up still rolls at its own rate.
+    """
+    x, y = posture.velocity[0] - reference.velocity[0], posture.velocity[1] - reference.velocity[1]
+    square = (x * x + y * y) / CREDIT**2
+    share = square / (1.0 + square)
+    return reference.velocity[0] + share * x, reference.velocity[1] + share * y
+
+
 def demanded_acceleration(lumped: Lumped, gains: TrackingGains, reference: Reference, posture: Posture, error: Pair) -> Pair:
     """Acceleration asked of the centre, m/s2: (58) along the path, and across it with the spin axis damped.
 
@@ -92,14 +106,14 @@ def demanded_acceleration(lumped: Lumped, gains: TrackingGains, reference: Refer
         posture: of the robot.
         error: of the centre, m.
     """
-    frame = path_frame(lumped, reference, posture.axis)
+    followed = followed_velocity(reference, posture)
+    frame = path_frame(lumped, reference, followed, posture.axis)
     apart: Vector3 = (*error, 0.0)
     moving = combine((1.0, posture.velocity), (-1.0, (*reference.velocity, 0.0)))
-    frame = frame._replace(tangent=once(frame.tangent), left=once(frame.left))
     along = gains.k1 * dot(apart, frame.tangent) + gains.k2 * dot(moving, frame.tangent)
-    across = _across(lumped, gains, reference, posture, frame, apart, moving)
-    x, y, _ = combine((1.0, (*reference.acceleration, 0.0)), (-along, frame.tangent), (-across, frame.left))
-    return evaluate_once(x), evaluate_once(y)
+    across = _across(lumped, gains, reference._replace(velocity=followed), posture, frame, apart, moving)
+    x, y, _ = once(combine((1.0, (*reference.acceleration, 0.0)), (-along, frame.tangent), (-across, frame.left)))
+    return x, y
 
 
 def _across(
@@ -110,7 +124,7 @@ def _across(
     frame: PathFrame,
     apart: Vector3,
     moving: Vector3,
-) -> Array:
+) -> Real:
     """Deceleration across the path for errors of the centre (m, m/s) and of the spin axis, m/s2."""
 
     def direction(x: Real, y: Real) -> Vector3:

@@ -49,7 +49,8 @@ def balancing_lean(lumped: Lumped, demand: Pair) -> Lean:
     Where no lean gives the demand, the direction is the nearest to a solution, and the margin is negative.
 
     Args:
-        lumped: robot and slope. demand: a, m/s2.
+        lumped: robot and slope.
+        demand: a, m/s2.
     """
     radius, moment = lumped.radius, lumped.pendulum_mass * lumped.length
     rolling = (lumped.central_mass + lumped.pendulum_mass) * radius

@@ -52,7 +52,9 @@ def line(speed: Real, heading: Real = 0.25 * jnp.pi, start: Pair = (0.0, 0.0)) -
     """Straight line at constant speed; the default heading is the paper's y = x.
 
     Args:
-        speed: v_f, m/s, along the line. heading: rad, from up-slope towards y. start: x, y, m.
+        speed: v_f, m/s, along the line.
+        heading: rad, from up-slope towards y.
+        start: x, y, m.
     """
     return Partial(_line, speed, heading, start)
 
@@ -69,7 +71,10 @@ def circle(radius: Real, speed: Real, center: Pair = (0.0, 0.0), start_angle: Re
     """Circle at constant speed, counter-clockwise seen from above the slope for a positive speed.
 
     Args:
-        radius: m. speed: m/s. center: x, y, m. start_angle: rad, where the circle starts, seen from its centre.
+        radius: m.
+        speed: m/s.
+        center: x, y, m.
+        start_angle: rad, where the circle starts, seen from its centre.
     """
     return Partial(_circle, radius, speed, center, start_angle)
 
@@ -88,7 +93,9 @@ def figure_eight(half_width: Real, period: Real, center: Pair = (0.0, 0.0)) -> R
     """Figure of eight that lies along x: x = w sin(s), y = w sin(s) cos(s), s = 2 pi t / period.
 
     Args:
-        half_width: w, m. period: s. center: the crossing, where it starts, x, y, m.
+        half_width: w, m.
+        period: s.
+        center: the crossing, where it starts, x, y, m.
     """
     return Partial(_figure_eight, half_width, period, center)
 
@@ -110,7 +117,8 @@ def way_points(times: Array, points: Array) -> ReferenceFunction:
     Position and velocity are continuous, and between the ends so is the acceleration.
 
     Args:
-        times: (n,), s, increasing. points: (n, 2), m.
+        times: (n,), s, increasing.
+        points: (n, 2), m.
 
     Raises:
         ValueError: fewer than two points, shapes that do not match, or times that do not increase.

@@ -101,7 +101,9 @@ def second_surface(gains: SlidingModeGains, deviation: Array, rate: Array) -> Ar
     """Sliding surface of the swing, s2 = c2 (phi - phi_0 - z - zeta) + phi', rad/s, Eq. (7).
 
     Args:
-        gains: the gains. deviation: phi - phi_0 - z - zeta, rad. rate: phi', rad/s.
+        gains: the gains.
+        deviation: phi - phi_0 - z - zeta, rad.
+        rate: phi', rad/s.
     """
     return gains.c2 * deviation + rate
 
@@ -138,8 +140,13 @@ def signals(
     """Evaluate the law at one state: surfaces, s2' = drift + decoupling u of (11), and u_eq from s2' = 0, Eq. (12).
 
     Args:
-        lumped: the robot that the controller believes in. equilibrium: its phi_0, rad. gains: the gains. state: alpha,
-        alpha', phi, phi'. correction: zeta, rad. target: alpha_d, rad. smoothing: epsilon, rad/s.
+        lumped: the robot that the controller believes in.
+        equilibrium: its phi_0, rad.
+        gains: the gains.
+        state: alpha, alpha', phi, phi'.
+        correction: zeta, rad.
+        target: alpha_d, rad.
+        smoothing: epsilon, rad/s.
     """
     now = planar.PlanarState(*state)
     form = planar.canonical_form(lumped, state)
@@ -183,8 +190,11 @@ def law(
     it is positive at rest, so it has crossed zero then. On a slope past the bound (4) it is INFEASIBLE_LEAN.
 
     Args:
-        robot: the robot that the controller believes in. slope: rad. gains: the gains. target: alpha_d, rad. smoothing:
-        width epsilon of the switching term, rad/s, 0 for the hard sign.
+        robot: the robot that the controller believes in.
+        slope: rad.
+        gains: the gains.
+        target: alpha_d, rad.
+        smoothing: width epsilon of the switching term, rad/s, 0 for the hard sign.
     """
     lumped = planar.lump(robot, slope)
     equilibrium = equilibrium_swing(robot, slope)

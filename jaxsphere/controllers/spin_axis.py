@@ -22,7 +22,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.controllers.references import Reference
+from jaxsphere.controllers.references import Pair, Reference
 from jaxsphere.models.spatial import Lumped, State, attitude, dynamics
 from jaxsphere.numerics import Real, evaluate_once
 from jaxsphere.numerics.linear_algebra import Vector3, cross, dot
@@ -51,7 +51,7 @@ class PathFrame(NamedTuple):
 
     tangent: Vector3  # t
     left: Vector3  # s
-    rolling: Array  # Omega = v_d / r, rad/s
+    rolling: Array  # Omega, rad/s
     axis: Vector3  # n or -n, whichever points to the left
 
 
@@ -59,8 +59,8 @@ class AxisTarget(NamedTuple):
     """Axis n* without coning, and how far the spin axis is from it."""
 
     axis: Vector3  # n*
-    heading_error: Array  # p, rad
-    lean_error: Array  # q, rad
+    heading_error: Real  # p, rad
+    lean_error: Real  # q, rad
 
 
 def posture_of(lumped: Lumped, state: State) -> Posture:
@@ -92,15 +92,16 @@ def posture_of(lumped: Lumped, state: State) -> Posture:
     return Posture(axis, once(direction), once(velocity), once(momentum))
 
 
-def path_frame(lumped: Lumped, reference: Reference, axis: Vector3) -> PathFrame:
-    """Frame of the path; where the reference stands still, that of a sphere that rolls about its spin axis."""
+def path_frame(lumped: Lumped, reference: Reference, followed: Pair, axis: Vector3) -> PathFrame:
+    """Frame of the path, rolling at the velocity `followed` (m/s); of the spin axis where the reference stands still."""
     x, y = reference.velocity
     square = x * x + y * y
     own = _CRAWL**3 / (square + _CRAWL**2)
     tangent = unit((x + own * axis[1], y - own * axis[0], 0.0))
     left = cross(NORMAL, tangent)
     facing = jnp.where(dot(axis, left) < 0.0, -1.0, 1.0)
-    return PathFrame(tangent, left, jnp.sqrt(square + 1e-24) / lumped.radius, combine((facing, axis)))
+    rolling = jnp.maximum(dot((*followed, 0.0), tangent), 1e-9) / lumped.radius
+    return PathFrame(once(tangent), once(left), rolling, combine((facing, axis)))
 
 
 def axis_target(lumped: Lumped, reference: Reference, posture: Posture, frame: PathFrame) -> AxisTarget:
@@ -119,7 +120,7 @@ def axis_target(lumped: Lumped, reference: Reference, posture: Posture, frame: P
     return AxisTarget(wanted, -dot(frame.axis, level), -dot(frame.axis, cross(frame.tangent, wanted)))
 
 
-def vertical_spin(lumped: Lumped, reference: Reference, posture: Posture) -> Array:
+def vertical_spin(lumped: Lumped, reference: Reference, posture: Posture) -> Real:
     """Vertical spin c that the shell will have once it follows the path, rad/s."""
     velocity: Vector3 = (*reference.velocity, 0.0)
     turn = cross(velocity, (*reference.acceleration, 0.0))[2] / (dot(velocity, velocity) + _CRAWL**2)
@@ -133,7 +134,7 @@ def vertical_spin(lumped: Lumped, reference: Reference, posture: Posture) -> Arr
     return upward(lumped, shell) / lumped.shell_axial
 
 
-def yaw_of(lumped: Lumped, balance: Vector3, error: Vector3, swing: Vector3) -> Array:
+def yaw_of(lumped: Lumped, balance: Vector3, error: Vector3, swing: Vector3) -> Real:
     """Yaw (rad) of the shell that goes with an error (m) of the centre and a swing of the pendulum away from `balance`.
 
     Its rate is what the yaw rate differs by from that which c tells, to first order.

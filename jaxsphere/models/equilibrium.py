@@ -69,7 +69,8 @@ def highest_step(robot: Robot, slope: Real = 0.0) -> Array:
     slips here, and nothing is gained from speed.
 
     Args:
-        robot: the robot. slope: of the ground before and after the step, rad, positive up-slope.
+        robot: the robot.
+        slope: of the ground before and after the step, rad, positive up-slope.
     """
     left = jnp.maximum(climbing_bound(robot) - slope, 0.0)
     return robot.shell_radius * (1.0 - jnp.cos(left))
@@ -89,7 +90,9 @@ def zero_dynamics_poles(robot: Robot, slope: Real, swing: Real | None = None) ->
     angle is a non-minimum-phase output: no controller that prescribes alpha exactly is internally stable.
 
     Args:
-        robot: the robot. slope: rad. swing: equilibrium to linearise at, rad; phi_0 of (3) by default.
+        robot: the robot.
+        slope: rad.
+        swing: equilibrium to linearise at, rad; phi_0 of (3) by default.
     """
     lumped = planar.lump(robot, slope)
     if swing is None:

@@ -137,7 +137,10 @@ def acceleration(robot: Robot, slope: Real, state: State, torque: Real) -> Array
     """Accelerations (alpha'', phi'') from M(q) q'' + N(q, q') = B tau, Eq. (1).
 
     Args:
-        robot: the robot. slope: rad. state: (4,) = alpha, alpha', phi, phi' in rad and rad/s. torque: (), N m.
+        robot: the robot.
+        slope: rad.
+        state: (4,) = alpha, alpha', phi, phi' in rad and rad/s.
+        torque: (), N m.
 
     Returns:
         (2,), rad/s2.

@@ -55,7 +55,8 @@ def solve_positive_definite(lower: Sequence[Sequence[Real]], *right: Sequence[Re
     """Solve A x = b for a symmetric positive definite A, for every b in `right`, by an unrolled square-root-free Cholesky.
 
     Args:
-        lower: row i holds A[i, 0..i]. right: vectors b. The last unknown is eliminated first.
+        lower: row i holds A[i, 0..i].
+        right: vectors b. The last unknown is eliminated first.
 
     Returns:
         One solution per vector of `right`.

@@ -11,6 +11,7 @@ early a loop over it; a run that pauses keeps its `LoopState` and goes on from t
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -106,13 +107,7 @@ def closed_loop(
     Returns:
         The functions `init`, `step` and `metrics`.
     """
-
-    def control(time: Array, x: State, memory: State) -> ControllerOutput:
-        with jax.named_scope("law"):
-            now = law(time, x, memory)
-        if torque_limit is None:
-            return now
-        return now._replace(torque=tuple(jnp.clip(u, -torque_limit, torque_limit) for u in now.torque))
+    control = _limited(law, torque_limit)
 
     def init(state: State, memory: State = ()) -> LoopState:
         state = tuple(state if plant.into is None else plant.into(state))
@@ -150,8 +145,8 @@ def closed_loop(
         sound = (loop.status == Status.OK) & (loop.index <= steps) & defined & finite
         moving = (loop.status == Status.OK) & (loop.index < steps)
         moves = moving & sound
-        fate = jnp.where(finite, plant.status(ahead[:size]), code(Status.NONFINITE))
-        fate = jnp.where(defined, fate, now.status)
+        next_status = jnp.where(finite, plant.status(ahead[:size]), code(Status.NONFINITE))
+        next_status = jnp.where(defined, next_status, now.status)
         measured = loop.measured
         if measure is not None:
             with jax.named_scope("measure"):
@@ -165,20 +160,32 @@ def closed_loop(
             torque=where(sound, now.torque, loop.torque),
             held=held,
             queued=queued,
-            status=jnp.where(moving, fate, loop.status),
+            status=jnp.where(moving, next_status, loop.status),
             end_time=jnp.where(moves, time + dt, loop.end_time),
             measured=measured,
         )
         return after, where(sound, now.torque, tuple(jnp.zeros_like(u) for u in now.torque))
 
-    def metrics(loop: LoopState) -> Any:
-        if measure is None:
-            return None
-        # A lane that ended early has not been measured at its last state.
-        last = measure.update(loop.measured, loop.end_time, loop.x, loop.torque, jnp.zeros_like(loop.end_time))
-        return measure.finish(where(loop.status == Status.OK, loop.measured, last))
+    return ClosedLoop(init, step, partial(_metrics, measure))
 
-    return ClosedLoop(init, step, metrics)
+
+def _limited(law: Law, torque_limit: Array | None) -> Law:
+    def control(time: Array, x: State, memory: State) -> ControllerOutput:
+        with jax.named_scope("law"):
+            now = law(time, x, memory)
+        if torque_limit is None:
+            return now
+        return now._replace(torque=tuple(jnp.clip(u, -torque_limit, torque_limit) for u in now.torque))
+
+    return control
+
+
+def _metrics(measure: Measure | None, loop: LoopState) -> Any:
+    if measure is None:
+        return None
+    # A lane that ended early has not been measured at its last state.
+    last = measure.update(loop.measured, loop.end_time, loop.x, loop.torque, jnp.zeros_like(loop.end_time))
+    return measure.finish(where(loop.status == Status.OK, loop.measured, last))
 
 
 def where(condition: Array, yes: Any, no: Any) -> Any:

@@ -70,10 +70,10 @@ class Memory:
         self.records[index] = {name: record[name] for name in self.layout.names or ()}
 
     def remember(self, batch: int, record: Record) -> None:
-        """Nothing, for nothing outlives the process."""
+        """Do nothing: memory does not outlive the process."""
 
     def recall(self, batch: int) -> Record | None:
-        """Nothing."""
+        """Return None."""
 
     def forget(self) -> None:
-        """Nothing."""
+        """Do nothing."""

@@ -89,9 +89,9 @@ def outcome_run(
 ) -> Pausable:
     """Return the simulation of `climb_outcome`, with the same arguments, unstarted."""
     task, given, numerics = _prepared(task, gains, numerics)
-    fate = outcome(_trial(task, given, numerics, early), jnp.asarray(task.slope))
+    ending = outcome(_trial(task, given, numerics, early), jnp.asarray(task.slope))
     segment = _segment(numerics) * numerics.dt
-    return fate._replace(result=lambda carry: Outcome(fate.result(carry)[0], fate.result(carry)[1] * segment))
+    return ending._replace(result=lambda carry: Outcome(ending.result(carry)[0], ending.result(carry)[1] * segment))
 
 
 def steepest_slope(

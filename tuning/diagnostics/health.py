@@ -92,18 +92,18 @@ def lyapunov_exponent(objective: RestToRest | FollowLine, gains: Any) -> Float[A
         found = js.simulate(task, gains, numerics, throw=False)
         loop = js.closed_loop_of(task, gains, numerics)
 
-        def ahead(state: Array, memory: Array) -> Array:
-            start = loop.init(tuple(state), tuple(memory))
+        def ahead(state: Array, memory: Array, index: Array) -> Array:
+            start = loop.init(tuple(state), tuple(memory))._replace(index=index)
             end, _ = jax.lax.scan(lambda now, _: (loop.step(now)[0], None), start, None, length=stride)
             return jnp.stack(end.x)
 
-        def push(direction: Array, here: tuple[Array, Array]) -> tuple[Array, Array]:
-            state, memory = here
-            moved = jax.jvp(lambda x: ahead(x, memory), (state,), (direction,))[1]
+        def push(direction: Array, here: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+            state, memory, index = here
+            moved = jax.jvp(lambda x: ahead(x, memory, index), (state,), (direction,))[1]
             length = jnp.sqrt(jnp.sum(moved * moved))
             return moved / length, jnp.log(length)
 
-        before = found.state[:-1], found.memory[:-1]
+        before = found.state[:-1], found.memory[:-1], stride * jnp.arange(len(found.state) - 1, dtype=jnp.int32)
         _, logarithms = jax.lax.scan(push, jnp.full(found.state.shape[1], 0.5), before)
         return jnp.sum(logarithms) / objective.duration
 

@@ -93,7 +93,7 @@ def pareto_front(
 
     score = js.batch(lambda vector: objective.figures(jax.tree.map(jnp.asarray, chosen.to_gains(vector))))
     vectors = drawn.across(jax.random.key(seed + 1), chosen.to_vector(initial_gains), points)
-    # Iterates are candidates too.
+    # What a weighting passes on its way may be as good a compromise as where it ends.
     passed = jnp.reshape(js.batch(search)(vectors, swings, efforts), (points * iterations, len(chosen.names)))
     nothing = _Scored(np.zeros((0, len(chosen.names))), np.zeros((0, 3)))
     front = nothing.joined(_Scored(np.asarray(passed), np.asarray(score(passed))))
