@@ -36,6 +36,7 @@ from jaxsphere.models import equilibrium, planar, spatial  # noqa: E402
 from jaxsphere.models.equilibrium import climbing_bound, equilibrium_swing  # noqa: E402
 from jaxsphere.models.equilibrium import equilibria as equilibria  # noqa: E402
 from jaxsphere.models.equilibrium import zero_dynamics_poles as zero_dynamics_poles  # noqa: E402
+from jaxsphere.robot import Friction as Friction  # noqa: E402
 from jaxsphere.robot import Robot, robots  # noqa: E402
 from jaxsphere.robot import check_robot as check_robot  # noqa: E402
 from jaxsphere.robot import robot_named as robot_named  # noqa: E402
@@ -67,7 +68,7 @@ from jaxsphere.tasks import static_bound_by_release as static_bound_by_release  
 from jaxsphere.tasks.metrics import RegulationMetrics, TrackingMetrics  # noqa: E402
 
 units.declare(
-    *(Robot, SlidingModeGains, TrackingGains, PlanarTask, SpatialTask, Numerics),
+    *(Robot, Friction, SlidingModeGains, TrackingGains, PlanarTask, SpatialTask, Numerics),
     *(RegulationMetrics, TrackingMetrics, Trajectory),
     speed=("m/s", "along a line or a circle"),
     start=("m", "where the robot rests at first when it follows a line"),

@@ -1,13 +1,14 @@
 """The robot: a shell, a gimbal and a pendulum, as one frozen pytree, and the published robots by name.
 
-Both inertias hold the three principal moments (x, y, z) about the centre of the sphere; z is the spin axis, the one about
-which the robot rolls straight ahead, so the plane uses the z entries. The pendulum's bob is a point mass.
+Shell and gimbal have three principal moments (x, y, z) about the centre of the sphere; z is the spin axis, the one about
+which the robot rolls straight ahead, so the plane uses the z entries. Those of the pendulum's bob are about itself, x along the
+rod and y about the tilt axis; 0 is the paper's point mass.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Any
 
@@ -22,6 +23,19 @@ from jaxsphere.units import quantity
 
 def _moments(*values: float) -> Callable[[], Any]:
     return partial(np.array, values, dtype=np.float64)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Friction:
+    """Friction of both joints and at the contact point (see `models.friction`)."""
+
+    drive_viscous: Real = quantity(0.0, "N m s", "viscous friction of the drive joint")
+    drive_coulomb: Real = quantity(0.0, "N m", "Coulomb friction of the drive joint")
+    tilt_viscous: Real = quantity(0.0, "N m s", "viscous friction of the tilt joint")
+    tilt_coulomb: Real = quantity(0.0, "N m", "Coulomb friction of the tilt joint")
+    rolling: Real = quantity(0.0, "m", "rolling resistance, torque over normal force")
+    spinning: Real = quantity(0.0, "m", "torsional friction at the contact, torque over normal force")
 
 
 @jax.tree_util.register_dataclass
@@ -42,25 +56,34 @@ class Robot:
     pendulum_length: Real = quantity(0.12, "m", "length l from the centre to the bob")
     shell_radius: Real = quantity(0.15, "m", "radius r of the shell")
     gravity: Real = quantity(9.81, "m/s2", "gravity g")
+    pendulum_inertia: Array = quantity(_moments(0.0, 0.0, 0.0), "kg m2", "moments of the bob about itself: x (rod), y, z")
+    friction: Friction | None = field(default=None, metadata={"help": "of joints and contact; None for none"})
 
 
 def set_a() -> Robot:
-    """BYQ-family robot of Yu & Sun (2014), the default. Gaps: only the planar moments are printed; no motor data."""
+    """BYQ-family robot of Yu & Sun (2014), the default.
+
+    Gaps: only the planar moments are printed; no motor data. The public code also has a pendulum moment of 0.0006 kg m2 and a
+    damping of 0.03 N m s, which neither the report nor the paper prints; they are left out here.
+    """
     return Robot()
 
 
 def roboball_ii() -> Robot:
     """RoboBall II, from the repository mjoo-man/Drake_Based_Pendulum_Driven_Spherical_Robot.
 
-    Gaps: it gives one moment for steering and one for driving each; drive goes to z, steer to x and y. It cannot hold a
-    slope of 10 degrees: its bound (4) is 9.2 degrees.
+    Its axes are x for steering (our y), y for driving (our z) and z along the pendulum (our x). Gaps: the gimbal's centre of
+    mass, 5 cm below the centre, and 3 mm of the pendulum's are left out. The friction of both joints is the one with which the
+    public log of a free swing is met; the file prints 0.7 N m and 0.104 N m s. It cannot hold 10 degrees: its bound is 9.2.
     """
     return Robot(
         shell_mass=16.536,
         gimbal_mass=2.779,
         pendulum_mass=22.03,
         shell_inertia=_moments(1.04, 1.04, 0.641)(),
-        gimbal_inertia=_moments(0.0184, 0.0184, 0.0075)(),
+        gimbal_inertia=_moments(0.0144, 0.0184, 0.0075)(),
+        pendulum_inertia=_moments(0.32633, 0.44235, 0.49888)(),
+        friction=Friction(drive_viscous=0.22, drive_coulomb=0.8, tilt_viscous=0.22, tilt_coulomb=0.8),
         pendulum_length=0.095,
         shell_radius=0.3175,
     )
@@ -69,15 +92,17 @@ def roboball_ii() -> Robot:
 def rotunbot() -> Robot:
     """Rotunbot, from the repository Foki-J/spherical-robot-pinocchio-simulation.
 
-    Gaps: that model orders its axes differently and its bodies do not map one to one onto shell, gimbal and pendulum; the
-    mapping (spin axis = its 1.88 and 0.47 kg m2) is ours.
+    Its axes are x for tilting (our y), y for driving (our z) and z along the pendulum (our x). Gaps: a flywheel is left out.
+    The pendulum's 6.9568 and 7.9816 kg m2 are taken about the centre of the sphere: about its own centre of mass they would
+    need a body that does not fit into the shell.
     """
     return Robot(
         shell_mass=27.83,
         gimbal_mass=20.41,
         pendulum_mass=82.8,
         shell_inertia=_moments(2.36, 2.36, 1.88)(),
-        gimbal_inertia=_moments(0.80, 0.97, 0.47)(),
+        gimbal_inertia=_moments(0.97, 0.80, 0.47)(),
+        pendulum_inertia=_moments(1.7644, 6.9568 - 82.8 * 0.270**2, 7.9816 - 82.8 * 0.270**2)(),
         pendulum_length=0.270,
         shell_radius=0.4,
     )
@@ -109,10 +134,14 @@ def check_robot(robot: Robot, name: str = "robot") -> Robot:
         raise TypeError(f"{name} = {robot!r} is no Robot; type jaxsphere.Robot(...) or jaxsphere.robots()['set_a']")
     for leaf in fields(Robot):
         value = getattr(robot, leaf.name)
-        if not is_concrete(value):
+        if value is None or not is_concrete(value):
+            continue
+        if leaf.name == "friction":
+            for term in fields(value):
+                require_scalar(f"{name}.friction.{term.name}", getattr(value, term.name), above=0.0, or_equal=True)
             continue
         if leaf.name.endswith("inertia"):
-            _check_moments(f"{name}.{leaf.name}", value, zero_allowed=leaf.name == "gimbal_inertia")
+            _check_moments(f"{name}.{leaf.name}", value, zero_allowed=leaf.name != "shell_inertia")
         else:
             require_scalar(f"{name}.{leaf.name}", value, above=0.0, or_equal=leaf.name == "gravity")
     length, radius = robot.pendulum_length, robot.shell_radius

@@ -5,6 +5,8 @@ import mujoco
 import numpy as np
 import spatial_oracle as oracle
 
+import jaxsphere as js
+
 _XML = """
 <mujoco>
   <option timestep="{dt}" gravity="{gx} 0 {gz}" integrator="implicitfast" cone="elliptic" iterations="20" tolerance="1e-12"
@@ -13,17 +15,17 @@ _XML = """
     <geom solref="0.002 1" solimp="0.99 0.9999 0.0001"/>
   </default>
   <worldbody>
-    <geom type="plane" size="50 50 1" friction="10 0 0" condim="3"/>
+    <geom type="plane" size="50 50 1" friction="10 {spinning} 0" condim="{condim}"/>
     <body name="shell" pos="0 0 {r}">
       <freejoint name="shell"/>
       <inertial pos="0 0 0" mass="{m}" diaginertia="{shell}"/>
-      <geom type="sphere" size="{r}" friction="10 0 0" condim="3"/>
+      <geom type="sphere" size="{r}" friction="10 {spinning} 0" condim="{condim}"/>
       <body name="gimbal">
-        <joint name="gimbal" type="hinge" axis="0 0 1"/>
+        <joint name="gimbal" type="hinge" axis="0 0 1" damping="{drive}"/>
         <inertial pos="0 0 0" mass="{mi}" diaginertia="{gimbal}"/>
         <body name="pendulum">
-          <joint name="pendulum" type="hinge" axis="0 1 0"/>
-          <inertial pos="{l} 0 0" mass="{mp}" diaginertia="1e-9 1e-9 1e-9"/>
+          <joint name="pendulum" type="hinge" axis="0 1 0" damping="{tilt}"/>
+          <inertial pos="{l} 0 0" mass="{mp}" diaginertia="{bob}"/>
         </body>
       </body>
     </body>
@@ -38,6 +40,7 @@ _XML = """
 
 def build(robot, slope, dt):
     """Return (model, data) of the robot. The controls are drive and tilt torque, N m."""
+    friction = robot.friction or js.Friction()
     model = mujoco.MjModel.from_xml_string(
         _XML.format(
             dt=dt,
@@ -49,6 +52,11 @@ def build(robot, slope, dt):
             mi=robot.gimbal_mass,
             mp=robot.pendulum_mass,
             shell=" ".join(str(float(i)) for i in robot.shell_inertia),
+            spinning=friction.spinning,
+            condim=4 if friction.spinning else 3,
+            drive=friction.drive_viscous,
+            tilt=friction.tilt_viscous,
+            bob=" ".join(str(float(i) + 1e-9) for i in robot.pendulum_inertia),
             gimbal=" ".join(str(float(i)) for i in robot.gimbal_inertia),
         )
     )

@@ -40,7 +40,8 @@ def kinetic(robot, slope, q, v):
     _, spins = jax.jvp(rotations, (q,), (v,))
     translation = (robot.shell_mass + robot.gimbal_mass) * centre_velocity @ centre_velocity
     translation = translation + robot.pendulum_mass * bob_velocity @ bob_velocity
-    return 0.5 * (translation + robot.shell_inertia[2] * spins[0] ** 2 + robot.gimbal_inertia[2] * spins[1] ** 2)
+    swinging = robot.gimbal_inertia[2] + robot.pendulum_inertia[2]
+    return 0.5 * (translation + robot.shell_inertia[2] * spins[0] ** 2 + swinging * spins[1] ** 2)
 
 
 def potential(robot, slope, q):

@@ -54,7 +54,9 @@ def kinetic(robot, q, q_rate):
     bob_rate = rate(lambda p: bob(robot, p), q, q_rate)
     shell, gimbal = (turning_in_body(rotation, q, q_rate) for rotation in (shell_rotation, gimbal_rotation))
     translation = (robot.shell_mass + robot.gimbal_mass) * center_rate @ center_rate + robot.pendulum_mass * bob_rate @ bob_rate
-    return 0.5 * (translation + shell @ (robot.shell_inertia * shell) + gimbal @ (robot.gimbal_inertia * gimbal))
+    pendulum = turning_in_body(lambda p: gimbal_rotation(p) @ about_y(p[6]), q, q_rate)
+    turning = shell @ (robot.shell_inertia * shell) + gimbal @ (robot.gimbal_inertia * gimbal)
+    return 0.5 * (translation + turning + pendulum @ (robot.pendulum_inertia * pendulum))
 
 
 def potential(robot, slope, q):

@@ -61,14 +61,14 @@ def test_metrics_of_12_s_are_those_of_a_downhill_move_mirrored(slope):
 
 
 BASE = {
-    "robot": js.Robot(),
+    "robot": js.Robot(pendulum_inertia=np.array([0.001, 0.001, 0.001])),
     "slope": float(np.deg2rad(10.0)),
     "gains": js.SlidingModeGains(k_i=0.03),
     "travel": 10.0,
     "smoothing": 1.0,
     "torque_limit": 1.0,
     "initial_state": np.array([0.5, 0.1, 0.4, -0.2]),
-    "plant": js.Robot(),
+    "plant": js.Robot(pendulum_inertia=np.array([0.001, 0.001, 0.001])),
 }
 
 

@@ -119,7 +119,11 @@ def robot(chosen: Any, default: js.Robot | None = None, label: str = "robot") ->
     """Return the named robot, or `default`, with the changes of `chosen`. Raises ValueError as `js.check_robot` does."""
     changes = {name: value for name, value in arguments(chosen).items() if value is not None}
     name = changes.pop("name", None)
-    return js.check_robot(replace(js.robot_named(name) if name else default or js.Robot(), **changes), label)
+    base = js.robot_named(name) if name else default or js.Robot()
+    rubbing = {leaf.name: changes.pop(leaf.name) for leaf in fields(js.Friction) if leaf.name in changes}
+    if rubbing:
+        changes["friction"] = replace(base.friction or js.Friction(), **rubbing)
+    return js.check_robot(replace(base, **changes), label)
 
 
 def as_typed(sentence: str, kind: type, words: list[str], spec: Mapping[str, Any]) -> str:
@@ -178,4 +182,6 @@ def _turned(value: Any, turn: Callable[[float], float]) -> Any:
     return None if value is None else round(turn(value), 12) if turn is math.degrees else turn(value)
 
 
-RobotOptions = options("RobotOptions", js.Robot, unset=True, name=(None, f"One of {', '.join(js.robots())}"))
+RobotOptions = options(
+    "RobotOptions", js.Robot, js.Friction, without=("friction",), unset=True, name=(None, f"One of {', '.join(js.robots())}")
+)

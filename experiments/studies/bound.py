@@ -55,8 +55,9 @@ def random_robots(count: int, seed: int = 0) -> js.Robot:
         "pendulum_length": radius * rng.uniform(0.1, 0.95, count),
         "shell_radius": radius,
         "gravity": rng.uniform(1.6, 9.9, count),
+        "pendulum_inertia": np.zeros((count, 3)),
     }
-    return js.Robot(**{name: jnp.asarray(values) for name, values in drawn.items()})
+    return js.Robot(**{name: jnp.asarray(values) for name, values in drawn.items()})  # type: ignore[arg-type]
 
 
 def _release(record: Record) -> dict[str, Any]:

@@ -76,10 +76,11 @@ def posture_of(lumped: Lumped, state: State) -> Posture:
     velocity: Vector3 = (x, y, zero)
     transverse, axial = lumped.shell_transverse, lumped.shell_axial
     about_x, about_y, about_z = lumped.gimbal_inertia
+    bob_x, bob_y, bob_z = dynamics.bob_spin(lumped, now)
     spins: Vector3 = (
-        transverse * turning[0] + about_x * gimbal[0],
-        transverse * turning[1] + about_y * gimbal[1],
-        axial * turning[2] + about_z * gimbal[2],
+        transverse * turning[0] + about_x * gimbal[0] + bob_x,
+        transverse * turning[1] + about_y * gimbal[1] + bob_y,
+        axial * turning[2] + about_z * gimbal[2] + bob_z,
     )
     bob = combine((lumped.radius, NORMAL), (lumped.length, direction))
     momentum = combine(

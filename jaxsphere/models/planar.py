@@ -19,6 +19,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from jaxsphere.models.friction import Losses, joint_loss, losses, smooth_sign
 from jaxsphere.numerics import Real, sincos
 from jaxsphere.robot import Robot
 
@@ -43,12 +44,13 @@ class Lumped(NamedTuple):
     """Constants of (1) for one robot on one slope; every entry a scalar."""
 
     rolling_inertia: Real  # M11 = (m + m_i + m_p) r^2 + I_s, kg m2
-    pendulum_inertia: Real  # M22 = m_p l^2 + I_i, kg m2
+    pendulum_inertia: Real  # M22 = m_p l^2 + I_p + I_i, kg m2
     coupling: Real  # m_p r l, kg m2
     slope_torque: Real  # (m + m_i + m_p) g r sin(gamma), N m
     pendulum_weight: Real  # m_p g l, N m
     sin_slope: Array
     cos_slope: Array
+    losses: Losses | None  # of friction
 
 
 class Canonical(NamedTuple):
@@ -67,12 +69,13 @@ def lump(robot: Robot, slope: Real) -> Lumped:
     radius, length, gravity = robot.shell_radius, robot.pendulum_length, robot.gravity
     return Lumped(
         rolling_inertia=total * radius**2 + robot.shell_inertia[2],
-        pendulum_inertia=robot.pendulum_mass * length**2 + robot.gimbal_inertia[2],
+        pendulum_inertia=robot.pendulum_mass * length**2 + robot.pendulum_inertia[2] + robot.gimbal_inertia[2],
         coupling=robot.pendulum_mass * radius * length,
         slope_torque=total * gravity * radius * sin_slope,
         pendulum_weight=robot.pendulum_mass * gravity * length,
         sin_slope=sin_slope,
         cos_slope=cos_slope,
+        losses=losses(robot, slope),
     )
 
 
@@ -89,12 +92,22 @@ def inertia(lumped: Lumped, state: State) -> tuple[Real, Array, Real]:
 
 
 def bias(lumped: Lumped, state: State) -> tuple[Array, Array]:
-    """Entries (N1, N2) of the centrifugal and gravity torques, N m."""
+    """Entries (N1, N2) of the centrifugal, gravity and friction torques, N m."""
     now = PlanarState(*state)
     sin_swing, cos_swing = sincos(now.swing)
     sin_relative = sin_swing * lumped.cos_slope - cos_swing * lumped.sin_slope
     centrifugal = lumped.coupling * sin_relative * now.swing_rate**2
-    return lumped.slope_torque - centrifugal, lumped.pendulum_weight * sin_swing
+    rolling, joint = friction_torques(lumped, state)
+    return lumped.slope_torque - centrifugal + rolling + joint, lumped.pendulum_weight * sin_swing + joint
+
+
+def friction_torques(lumped: Lumped, state: State) -> tuple[Real, Real]:
+    """Torques (N m) of rolling resistance, against alpha', and of the drive joint, against alpha' + phi'."""
+    if lumped.losses is None:
+        return 0.0, 0.0
+    now = PlanarState(*state)
+    rolling = lumped.losses.rolling * smooth_sign(now.alpha_rate)
+    return rolling, joint_loss(lumped.losses.drive, now.alpha_rate + now.swing_rate)
 
 
 def canonical_form(lumped: Lumped, state: State) -> Canonical:

@@ -33,6 +33,7 @@ import numpy as np
 from jax import Array
 
 from jaxsphere.checks import is_concrete, require_choice
+from jaxsphere.models.friction import Losses, joint_loss, losses, smooth_sign
 from jaxsphere.models.spatial import attitude, printed
 from jaxsphere.models.spatial.attitude import Axes, GimbalState
 from jaxsphere.models.spatial.frames import SpatialState, State
@@ -59,6 +60,7 @@ class Lumped(NamedTuple):
     length: Real  # l, m
     along_slope: Real  # g sin(gamma), m/s2
     into_slope: Real  # g cos(gamma), m/s2
+    losses: Losses | None  # of friction
 
 
 class Reduced(NamedTuple):
@@ -90,7 +92,7 @@ def check_spatial_robot(robot: Robot, name: str = "robot") -> Robot:
 
 def lump(robot: Robot, slope: Real) -> Lumped:
     """Gather the constants of the spatial equations for `robot` on a `slope` (rad); unequal I_xxs, I_yys are averaged."""
-    shell, gimbal = robot.shell_inertia, robot.gimbal_inertia
+    shell, gimbal, bob = robot.shell_inertia, robot.gimbal_inertia, robot.pendulum_inertia
     offset = robot.pendulum_mass * robot.pendulum_length**2
     return Lumped(
         central_mass=robot.shell_mass + robot.gimbal_mass,
@@ -98,11 +100,12 @@ def lump(robot: Robot, slope: Real) -> Lumped:
         shell_transverse=0.5 * (shell[0] + shell[1]),
         shell_axial=shell[2],
         gimbal_inertia=(gimbal[0], gimbal[1], gimbal[2]),
-        pendulum_inertia=(0.0, offset, offset),
+        pendulum_inertia=(bob[0], bob[1] + offset, bob[2] + offset),
         radius=robot.shell_radius,
         length=robot.pendulum_length,
         along_slope=robot.gravity * jnp.sin(slope),
         into_slope=robot.gravity * jnp.cos(slope),
+        losses=losses(robot, slope),
     )
 
 
@@ -118,6 +121,13 @@ def _out_of_pendulum(direction: tuple[Real, Real], vector: Vector3) -> Vector3:
     return dx * x - dz * z, y, dz * x + dx * z
 
 
+def bob_spin(lumped: Lumped, now: GimbalState) -> Vector3:
+    """Angular momentum of the bob about its own centre of mass, in C, N m s."""
+    direction, offset = direction_of(now), lumped.pendulum_mass * lumped.length**2
+    (a, b, c), (x, y, z) = lumped.pendulum_inertia, pendulum_turning(direction, now[8:])
+    return _out_of_pendulum(direction, (a * x, (b - offset) * y, (c - offset) * z))
+
+
 def direction_of(now: GimbalState) -> tuple[Array, Array]:
     """Direction of the bob from the centre, x and z in C; there is no y."""
     sine, cosine = sincos(now.pendulum_angle)
@@ -127,7 +137,21 @@ def direction_of(now: GimbalState) -> tuple[Array, Array]:
 def reduced(lumped: Lumped, now: GimbalState, axes: Axes) -> Reduced:
     """Assemble M and h of C^T (M C v' + M C' v + N) = C^T B tau for the speeds u, Eq. (45)."""
     direction = direction_of(now)
-    return Reduced(_inertia(lumped, axes.normal, direction), _bias(lumped, now, axes, direction))
+    bias = _bias(lumped, now, axes, direction)
+    if lumped.losses is not None:
+        bias = tuple(a + b for a, b in zip(bias, friction_torques(lumped.losses, now, axes), strict=True))
+    return Reduced(_inertia(lumped, axes.normal, direction), bias)
+
+
+def friction_torques(terms: Losses, now: GimbalState, axes: Axes) -> tuple[Real, ...]:
+    """Torques against the speeds u that friction makes, N m: spinning and rolling on the shell, and both joints."""
+    turning = attitude.shell_turning_of(now)
+    spin = dot(axes.normal, turning)
+    level = add((1.0, turning), (-spin, axes.normal))
+    spinning, square = terms.spinning * smooth_sign(spin), dot(level, level)
+    rolling = [terms.rolling * smooth_sign(part, square) for part in level]
+    x, y, z = (a + spinning * b for a, b in zip(rolling, axes.normal, strict=True))
+    return x, y, z, z + joint_loss(terms.drive, now.relative_rate), joint_loss(terms.tilt, now.pendulum_rate)
 
 
 def _inertia(lumped: Lumped, normal: Vector3, direction: tuple[Array, Array]) -> tuple[tuple[Real, ...], ...]:

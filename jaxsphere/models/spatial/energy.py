@@ -47,9 +47,13 @@ def gimbal_potential_energy(robot: Robot, slope: Real, state: State) -> Real:
 
 
 def pendulum_kinetic_energy(robot: Robot, state: State, center: Velocity = None) -> Real:
-    """Kinetic energy of the pendulum's bob, J, Eq. (36)."""
+    """Kinetic energy of the pendulum's bob, J, Eq. (36).
+
+    Beyond the paper: a bob with moments of its own turns too.
+    """
     velocity = frames.pendulum_velocity(robot, state, center)
-    return 0.5 * robot.pendulum_mass * dot(velocity, velocity)
+    turning = _rotational(robot.pendulum_inertia, frames.pendulum_angular_velocity(state))
+    return 0.5 * robot.pendulum_mass * dot(velocity, velocity) + turning
 
 
 def pendulum_potential_energy(robot: Robot, slope: Real, state: State) -> Real:

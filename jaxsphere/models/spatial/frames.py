@@ -137,6 +137,13 @@ def gimbal_angular_velocity(state: State) -> Vector3:
     return c_gimbal * along_x + s_gimbal * along_y, -s_gimbal * along_x + c_gimbal * along_y, along_z + now.gimbal_rate
 
 
+def pendulum_angular_velocity(state: State) -> Vector3:
+    """Angular velocity of the pendulum, components in D, rad/s."""
+    now = SpatialState(*state)
+    (x, y, z), (s_pendulum, c_pendulum) = gimbal_angular_velocity(state), sincos(now.pendulum_angle)
+    return c_pendulum * x - s_pendulum * z, y + now.pendulum_rate, s_pendulum * x + c_pendulum * z
+
+
 def pendulum_direction(state: State) -> Vector3:
     """Unit vector from the centre to the bob, components in O."""
     now = SpatialState(*state)
