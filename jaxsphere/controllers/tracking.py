@@ -34,6 +34,7 @@ from jaxsphere.controllers.tracking_gains import TrackingGains
 from jaxsphere.controllers.tracking_gains import check_gains as check_gains
 from jaxsphere.models.spatial import Affine, GimbalState, Lumped, SpatialState, State, attitude, dynamics, frames
 from jaxsphere.models.spatial.attitude import Axes
+from jaxsphere.models.spatial.lumped import lump
 from jaxsphere.numerics import Real, evaluate_once
 from jaxsphere.numerics.linear_algebra import Vector3, cross, solve_pair
 from jaxsphere.robot import Robot
@@ -107,7 +108,7 @@ def decoupling_matrix(robot: Robot, state: State) -> Array:
 
 def decoupling_determinant(robot: Robot, slope: Real, state: State) -> Array:
     """Determinant of Phi G (2 x 2), from the two torques to the centre's acceleration, 1/kg2; `exact` divides by it."""
-    lumped, now = dynamics.lump(robot, slope), attitude.of_state(state)
+    lumped, now = lump(robot, slope), attitude.of_state(state)
     return _determinant(centre_accelerations(lumped, now, attitude.axes_of(now), dynamics.affine(lumped, now)))
 
 
@@ -223,7 +224,7 @@ def law(
         realisation: one of REALISATIONS.
     """
     require_choice("realisation", realisation, REALISATIONS)
-    lumped = dynamics.lump(robot, slope)
+    lumped = lump(robot, slope)
     holdable = balancing_lean(lumped, (0.0, 0.0)).margin >= 0.0
     resting = jnp.where(holdable | (realisation == "ideal"), code(Status.OK), code(Status.INFEASIBLE_LEAN))
 
@@ -251,7 +252,7 @@ def resting_state(robot: Robot, slope: Real, position: Pair = (0.0, 0.0), headin
     zero = jnp.zeros_like(jnp.asarray(slope, jnp.result_type(float, slope)))
     right = zero + 0.5 * jnp.pi
     upright = (zero + position[0], zero + position[1], heading + right, right, *(zero,) * 8)
-    gimbal, pendulum = joints_to(upright, balancing_lean(dynamics.lump(robot, slope), (zero, zero)).direction).error
+    gimbal, pendulum = joints_to(upright, balancing_lean(lump(robot, slope), (zero, zero)).direction).error
     return (*upright[:5], gimbal, pendulum, *upright[7:])
 
 
@@ -261,7 +262,7 @@ def zero_dynamics_poles(robot: Robot, slope: Real, heading: Real = 0.0) -> Array
     The states left are psi, theta, phi, beta1, beta2, psi', beta1' and beta2'. A pole in the right half plane means that the
     centre is a non-minimum-phase output: no law that prescribes it exactly is internally stable.
     """
-    lumped = dynamics.lump(robot, slope)
+    lumped = lump(robot, slope)
     kept = jnp.array([2, 3, 4, 5, 6, 7, 10, 11])
     rest = jnp.stack(resting_state(robot, slope, heading=heading))
 

@@ -14,6 +14,7 @@ from jax import Array
 
 from jaxsphere.models.spatial import attitude, dynamics
 from jaxsphere.models.spatial.frames import State
+from jaxsphere.models.spatial.lumped import lump
 from jaxsphere.numerics import Real, safe_sqrt
 from jaxsphere.robot import Robot
 
@@ -51,7 +52,7 @@ def constraint_force(robot: Robot, slope: Real, state: State, torque: Sequence[A
 
 
 def _contact_force(robot: Robot, slope: Real, state: State, torque: Sequence[Array]) -> tuple[Array, Array, Array]:
-    now, lumped = attitude.of_state(state), dynamics.lump(robot, slope)
+    now, lumped = attitude.of_state(state), lump(robot, slope)
     axes, accelerations = attitude.axes_of(now), dynamics.derivative_components(lumped, now, torque)[8:]
     centre = (1.0, dynamics.rolled(lumped, axes, accelerations)), (1.0, dynamics.centre_drift(lumped, now, axes.normal))
     bob = dynamics.bob_acceleration(lumped, now, accelerations)
