@@ -25,7 +25,7 @@ An error y that is corrected within less than a turn tilts the axis by y/r, so s
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,12 +34,10 @@ from jax import Array
 from jaxsphere.controllers.lean import Pair, balancing_lean
 from jaxsphere.controllers.references import Reference
 from jaxsphere.controllers.spin_axis import ZERO, PathFrame, Posture, axis_target, combine, once, path_frame, yaw_of
+from jaxsphere.controllers.tracking_gains import TrackingGains
 from jaxsphere.models.spatial.momentum import Lumped
 from jaxsphere.numerics import Real
 from jaxsphere.numerics.linear_algebra import Vector3, dot
-
-if TYPE_CHECKING:
-    from jaxsphere.controllers.tracking import TrackingGains
 
 # Across the path no faster than this many radians per radian of rolling, but as fast as so many 1/s in any case.
 FASTEST, SLOWEST = 0.8, 0.35

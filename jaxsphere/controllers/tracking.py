@@ -20,18 +20,20 @@ Differs from the paper:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxsphere.checks import require_choice, require_scalar
+from jaxsphere.checks import require_choice
 from jaxsphere.controllers import axis_aligned
 from jaxsphere.controllers.lean import Joints, Lean, balancing_lean, joints_to, limit
 from jaxsphere.controllers.references import Pair, Reference, ReferenceFunction
 from jaxsphere.controllers.spin_axis import posture_of
+from jaxsphere.controllers.tracking_gains import TABLE_4 as TABLE_4
+from jaxsphere.controllers.tracking_gains import TrackingGains
+from jaxsphere.controllers.tracking_gains import check_gains as check_gains
 from jaxsphere.models import spatial
 from jaxsphere.models.spatial import Affine, State, frames, momentum
 from jaxsphere.models.spatial.momentum import BETA1, BETA2, PHI, THETA, Lumped
@@ -48,29 +50,6 @@ BY_ATTITUDE = ("axis_aligned", "pendulum_attitude")
 _OUTPUT_PAIR, _JOINT_PAIR = (THETA, PHI), (BETA1, BETA2)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class TrackingGains:
-    """Gains of tracking; the defaults are for "axis_aligned", Table 4 is TABLE_4.
-
-    k1, k3 (1/s2): on the errors. k2, k4 (1/s): on their rates. With "axis_aligned" k1 and k2 act along the path, k3 and k4
-    across it; else k1 and k2 along x, k3 and k4 along y. axis_damping: damping ratio of the coning, "axis_aligned" only.
-    k_p (1/s2) and k_d (1/s) of both joints and a_max (m/s2), the largest demand: these two and "pendulum_attitude".
-    """
-
-    k1: Real = 16.0
-    k2: Real = 9.0
-    k3: Real = 3.4
-    k4: Real = 3.2
-    k_p: Real = 900.0
-    k_d: Real = 60.0
-    a_max: Real = 1.3
-    axis_damping: Real = 0.38
-
-
-TABLE_4 = TrackingGains(k1=49.0, k2=14.0, k3=49.0, k4=14.0, a_max=1.0)
-
-
 class Signals(NamedTuple):
     """What the controller computes on the way to its torques; also the diagnostics of a rollout."""
 
@@ -81,15 +60,6 @@ class Signals(NamedTuple):
     joints: Joints
     determinant: Array  # of the two equations solved for the torques, positive while they can be, 1/(kg2 m4)
     torque: tuple[Array, ...]  # before the torque limit, N m; five accelerations, rad/s2, for "ideal"
-
-
-def check_gains(gains: TrackingGains, name: str = "gains") -> TrackingGains:
-    """Check gains on the host and return them. Raises ValueError for a gain that is not one finite positive number."""
-    if not isinstance(gains, TrackingGains):
-        raise TypeError(f"{name} = {gains!r} are no TrackingGains; type jaxsphere.TrackingGains(k1=49.0, ...)")
-    for leaf in fields(gains):
-        require_scalar(f"{name}.{leaf.name}", getattr(gains, leaf.name), above=0.0)
-    return gains
 
 
 def output(state: State) -> Pair:
