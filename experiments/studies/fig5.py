@@ -8,7 +8,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.figure import Figure
 
 import jaxsphere as js
 import tuning
@@ -96,7 +95,7 @@ def _pictures(ideal: Runs, robot: Runs, aligned: Runs, tuned: Runs, readings: di
     }
 
 
-def _robot_figure(law: str, runs: dict[float, js.Trajectory]) -> Figure:
+def _robot_figure(law: str, runs: dict[float, js.Trajectory]) -> Any:
     title = f"The robot: {law}, |τ| ≤ 5 N m, 1 kHz hold, 10° slope"
     return tracking.tracking_figure(title, [named(f"{v:g} m/s", run, v) for v, run in runs.items()], TORQUE_LIMIT, ZOOM)
 

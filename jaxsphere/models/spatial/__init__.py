@@ -12,17 +12,15 @@ from jaxsphere.models.spatial.attitude import (
 from jaxsphere.models.spatial.dynamics import (
     CONVENTIONS,
     Affine,
-    Lumped,
     Reduced,
     affine,
-    check_spatial_robot,
     derivative,
     derivative_components,
-    lump,
     mass_matrix,
     reduced,
 )
 from jaxsphere.models.spatial.frames import SpatialState, State
+from jaxsphere.models.spatial.lumped import Lumped, check_spatial_robot, lump
 
 __all__ = [
     "CONVENTIONS",
