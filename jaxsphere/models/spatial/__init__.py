@@ -10,19 +10,17 @@ from jaxsphere.models.spatial.attitude import (
     paper_states,
 )
 from jaxsphere.models.spatial.dynamics import (
-    CONVENTIONS,
     Affine,
     Lumped,
     Reduced,
     affine,
     check_spatial_robot,
-    derivative,
     derivative_components,
     lump,
-    mass_matrix,
     reduced,
 )
 from jaxsphere.models.spatial.frames import SpatialState, State
+from jaxsphere.models.spatial.paper import CONVENTIONS, derivative, mass_matrix
 
 __all__ = [
     "CONVENTIONS",
