@@ -13,7 +13,8 @@ from scipy.linalg import expm
 import jaxsphere as js
 from jaxsphere.controllers import lean, references, tracking
 from jaxsphere.models import spatial
-from jaxsphere.models.spatial import dynamics, frames
+from jaxsphere.models.spatial import frames
+from jaxsphere.models.spatial.paper import paper_affine
 from jaxsphere.simulation.rollout import rollout
 from jaxsphere.tasks.spatial import ideal_plant, spatial_plant
 
@@ -119,7 +120,7 @@ def test_realisations_do_what_their_equations_say():
         components = tuple(jnp.asarray(state))
         now = {name: tracking.signals(lumped, GAINS, reference, components, name) for name in tracking.REALISATIONS}
         gimbal = spatial.of_state(components)
-        terms = dynamics.paper_affine(components, gimbal, spatial.affine(lumped, gimbal))
+        terms = paper_affine(components, gimbal, spatial.affine(lumped, gimbal))
         terms = [np.array(column) for column in terms]
         columns = np.stack(terms[1:], axis=1)
         outcome = {n: terms[0] + columns @ np.array(s.torque) for n, s in now.items() if n != "ideal"}

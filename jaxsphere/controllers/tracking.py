@@ -35,6 +35,7 @@ from jaxsphere.controllers.tracking_gains import check_gains as check_gains
 from jaxsphere.models.spatial import Affine, GimbalState, Lumped, SpatialState, State, attitude, dynamics, frames
 from jaxsphere.models.spatial.attitude import Axes
 from jaxsphere.models.spatial.lumped import lump
+from jaxsphere.models.spatial.paper import paper_affine, paper_rates
 from jaxsphere.numerics import Real, evaluate_once
 from jaxsphere.numerics.linear_algebra import Vector3, cross, solve_pair
 from jaxsphere.robot import Robot
@@ -202,7 +203,7 @@ def signals(
         zero, assigned = jnp.zeros_like(paper.x), printed.assigned_accelerations(lumped.radius, paper, limited)
         torque = zero, *assigned, zero, zero
         if realisation == "pseudo_inverse":
-            torque = printed.pseudo_inverse_torque(dynamics.paper_affine(paper, now, terms), torque)
+            torque = printed.pseudo_inverse_torque(paper_affine(paper, now, terms), torque)
     return Signals(error, demand, limited, lean, joints, determinant, torque)
 
 
@@ -273,6 +274,6 @@ def zero_dynamics_poles(robot: Robot, slope: Real, heading: Real = 0.0) -> Array
         centre = centre_accelerations(lumped, now, axes, dynamics.affine(lumped, now))
         torque = assigning_torque(centre, (0.0, 0.0))
         rates = dynamics.derivative_components(lumped, now, torque)
-        return jnp.stack(dynamics.paper_rates(state, now, rates))[kept]
+        return jnp.stack(paper_rates(state, now, rates))[kept]
 
     return jnp.linalg.eigvals(jax.jacfwd(held)(rest[kept]))

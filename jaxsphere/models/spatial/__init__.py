@@ -10,17 +10,15 @@ from jaxsphere.models.spatial.attitude import (
     paper_states,
 )
 from jaxsphere.models.spatial.dynamics import (
-    CONVENTIONS,
     Affine,
     Reduced,
     affine,
-    derivative,
     derivative_components,
-    mass_matrix,
     reduced,
 )
 from jaxsphere.models.spatial.frames import SpatialState, State
 from jaxsphere.models.spatial.lumped import Lumped, check_spatial_robot, lump
+from jaxsphere.models.spatial.paper import CONVENTIONS, derivative, mass_matrix
 
 __all__ = [
     "CONVENTIONS",
