@@ -54,8 +54,13 @@ def track_line(
     """Follow a straight line through the origin at constant speed, from Table 4's start at rest; y = x by default.
 
     Args:
-        speed: v_f, m/s. heading: of the line and of the robot at the start, rad, from up-slope. start: of the centre, m.
-        Everything else, `options` too, is as in `track`.
+        robot, slope, gains, realisation, duration, dt, torque_limit, options: as in `track`.
+        speed: v_f, m/s.
+        heading: of the line and of the robot at the start, rad, from up-slope.
+        start: of the centre, m.
+
+    Returns:
+        As `track`.
     """
     require_scalar("speed", speed, unit="m/s")
     require_scalar("heading", heading, unit="rad")
