@@ -150,8 +150,8 @@ def _determinant(pairs: Pairs) -> Array:
 
 def _upright_sign(lumped: Lumped) -> Real:
     """Sign of the centre's `_determinant` with the robot upright and the pendulum normal to the slope, in closed form."""
-    coupling = lumped.pendulum_mass * lumped.length * (lumped.radius - lumped.length)
-    _, about_y, about_z = lumped.gimbal_inertia
+    coupling = lumped.pendulum_mass * lumped.length * lumped.radius
+    about_y, about_z = (a + b for a, b in zip(lumped.gimbal_inertia[1:], lumped.pendulum_inertia[1:], strict=True))
     return -jnp.sign((coupling - about_y) * (coupling - about_z))
 
 
