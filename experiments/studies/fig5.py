@@ -8,7 +8,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.figure import Figure
 
 import jaxsphere as js
 import tuning
@@ -68,7 +67,7 @@ def reproduce(record: Record, progress: bool = True) -> dict[str, Any]:
 Runs = dict[float, js.Trajectory]
 
 
-def _pictures(ideal: Runs, robot: Runs, aligned: Runs, tuned: Runs, readings: dict[str, js.Trajectory]) -> dict[str, Figure]:
+def _pictures(ideal: Runs, robot: Runs, aligned: Runs, tuned: Runs, readings: dict[str, js.Trajectory]) -> dict[str, Any]:
     return {
         "fig5_ideal": tracking.tracking_figure(
             "The claim: v' = u with no torques (“ideal”), Table 4",
