@@ -116,7 +116,9 @@ def test_squared_residuals_sum_to_the_objective_and_gradient_and_differences_agr
     seen = expanded(vector)
     assert seen.value == pytest.approx(float(evaluated(GAINS, slope)[0]), rel=1e-9)
     forward = np.asarray(seen.gradient)
-    ends = [[evaluated(CHOSEN.to_gains(vector + sign * step), slope)[0] for sign in (1, -1)] for step in 1e-5 * np.eye(len(vector))]
+    ends = [
+        [evaluated(CHOSEN.to_gains(vector + sign * step), slope)[0] for sign in (1, -1)] for step in 1e-5 * np.eye(len(vector))
+    ]
     differences = [float(up - down) / 2e-5 for up, down in ends]
     np.testing.assert_allclose(forward, differences, rtol=1e-4, atol=1e-5 * np.abs(forward).max())
     assert np.all(forward != 0.0)

@@ -90,12 +90,14 @@ def lyapunov_exponent(objective: RestToRest | FollowLine, gains: Any) -> Float[A
         stride = 1 if period is None else round(period / dt)
         numerics = replace(objective.numerics, save_every=stride)
         found = js.simulate(task, gains, numerics, throw=False)
-        loop = js.closed_loop_of(task, gains, numerics)
+        loop, out = js.closed_loop_of(task, gains, numerics), task.dynamics().out
 
         def ahead(state: Array, memory: Array, index: Array) -> Array:
             start = loop.init(tuple(state), tuple(memory))._replace(index=index)
             end, _ = jax.lax.scan(lambda now, _: (loop.step(now)[0], None), start, None, length=stride)
-            return jnp.stack(end.x)
+            if out is None:
+                return jnp.stack(end.x)
+            return jnp.stack(out(tuple(part[None] for part in end.x), tuple(state))[0])[:, 0]
 
         def push(direction: Array, here: tuple[Array, Array, Array]) -> tuple[Array, Array]:
             state, memory, index = here
