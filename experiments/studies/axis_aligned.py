@@ -107,7 +107,7 @@ def _measure(reference: Any) -> js.Measure:
         share = jnp.where(time >= AFTER[-1], dt / 5.0, 0.0)
         return (
             tuple(jnp.maximum(w, jnp.where(time >= after, error, 0.0)) for w, after in zip(worst, AFTER, strict=True)),
-            jnp.maximum(lean, jnp.abs(state[3] - 0.5 * jnp.pi)),
+            jnp.maximum(lean, js.spatial.lean_from_upright(state)),
             saturated + jnp.where(at_limit & (time > 0.2), dt, 0.0),
             tuple(total + share * u for total, u in zip(sums, torque, strict=True)),
             tuple(total + share * u * u for total, u in zip(squares, torque, strict=True)),
