@@ -50,7 +50,10 @@ def shown_rates(plant: Plant, state: State, torque: State) -> State:
 
 
 class Measure(NamedTuple):
-    """A running metric: update(value, time, state, torque, dt) at every step, finish(value) once at the end."""
+    """A running metric: update(value, time, state, torque, dt) at every step, finish(value) once at the end.
+
+    state: the components that are integrated; of the spatial robot those of `models.spatial.attitude`, not the paper's.
+    """
 
     initial: Any
     update: Callable[[Any, Array, State, State, Array], Any]
