@@ -123,12 +123,18 @@ def robot_named(name: str) -> Robot:
     return _ROBOTS[name]()
 
 
+def total_mass(robot: Robot) -> Real:
+    """Mass of shell, gimbal and pendulum, kg."""
+    return robot.shell_mass + robot.gimbal_mass + robot.pendulum_mass
+
+
 def check_robot(robot: Robot, name: str = "robot") -> Robot:
     """Check one robot on the host and return it; traced fields are passed over.
 
     Raises:
-        TypeError: `robot` is no Robot. ValueError: a field is not one finite positive number (gravity and gimbal moments
-        may be zero), a moment breaks the triangle inequality, or the pendulum does not fit into the shell.
+        TypeError: `robot` is no Robot, or its friction no Friction.
+        ValueError: a field is not one finite positive number (gravity, friction, and moments of gimbal and pendulum may be
+            zero), a moment breaks the triangle inequality, or the pendulum does not fit into the shell.
     """
     if not isinstance(robot, Robot):
         raise TypeError(f"{name} = {robot!r} is no Robot; type jaxsphere.Robot(...) or jaxsphere.robots()['set_a']")
@@ -137,6 +143,8 @@ def check_robot(robot: Robot, name: str = "robot") -> Robot:
         if value is None or not is_concrete(value):
             continue
         if leaf.name == "friction":
+            if not isinstance(value, Friction):
+                raise TypeError(f"{name}.friction = {value!r} is no Friction; type jaxsphere.Friction(rolling=0.01), or None")
             for term in fields(value):
                 require_scalar(f"{name}.friction.{term.name}", getattr(value, term.name), above=0.0, or_equal=True)
             continue

@@ -9,10 +9,21 @@ import jaxsphere as js
 from experiments import cli
 from experiments.studies import climbing_axes as axes
 from experiments.studies import climbing_map as maps
-from jaxsphere.sweep.refine import refine
+from jaxsphere.sweep.refine import Boundaries
 from jaxsphere.sweep.store import Store
 
 QUICK = axes.Setting(numerics=js.Numerics(duration=60.0, dt=15e-3))
+
+
+def refine(evaluate, shape, coarse):
+    """Carry a plan out: outcomes of all nodes, and which of them were asked for."""
+    plan = Boundaries(coarse=coarse).plan(shape)
+    rows, columns, _ = next(plan)
+    while True:
+        try:
+            rows, columns, _ = plan.send(evaluate(rows, columns))
+        except StopIteration as stop:
+            return stop.value
 
 
 def disc(rows, columns):

@@ -41,3 +41,10 @@ def test_an_overflowing_lane_reports_no_nan():
     assert found.status == js.Status.NONFINITE
     for leaf in (found.torque, found.state, found.metrics.peak_torque, found.metrics.effort):
         assert np.isfinite(leaf).all()
+
+
+def test_every_way_to_end_early_has_its_advice():
+    every = set(js.Status) - {js.Status.OK}
+    # A planar move that has not settled is a result; only the spatial robot has joints to lose, only the planar one whirls.
+    assert set(js.PlanarTask().advice()) == every - {js.Status.NOT_SETTLED, js.Status.SINGULAR_JOINTS}
+    assert set(js.SpatialTask().advice()) == every - {js.Status.WHIRLING}

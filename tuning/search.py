@@ -160,7 +160,7 @@ def _optimiser(asked: Any, learning_rate: float, iterations: int | None) -> tupl
         return asked, label, iterations
     if type(asked) is not tuple or len(asked) != 2 or not all(map(callable, asked)):
         raise ValueError(f"optimiser = {asked!r} is none; type one of {', '.join(_ITERATIONS)}, or a pair (init, update)")
-    return asked if isinstance(asked, Optimiser) else Optimiser(asked[0], asked[1]), label, iterations
+    return Optimiser(*asked), label, iterations
 
 
 def _checked(search: _Search) -> Float[Array, " n"]:

@@ -132,7 +132,8 @@ def as_typed(sentence: str, kind: type, words: list[str], spec: Mapping[str, Any
         in_spec = name in (spec.get(group, {}) if group else spec) and not any(w.split("=")[0] == flag for w in words)
         typed = (f"[{group}] {name}" if group else name) if in_spec else flag
         inside = rf"(?:{group}|task|numerics)\."
-        prefix = inside if group in ("robot", "plant", "gains") else rf"(?:{inside})?"
+        friction = r"(?:friction\.)?"
+        prefix = inside + friction if group in ("robot", "plant", "gains") else rf"(?:{inside})?"
         sentence = re.sub(rf"(?<![\w.\-\]] )(?<![\w.\-]){prefix}{name}(?= = )", typed, sentence)
         if flag not in sentence:
             sentence = re.sub(

@@ -64,7 +64,7 @@ def simulate_spatial(chosen: Any) -> None:
     track = tracking.Track(name, trajectory, fig5.positions(reference, trajectory.time))
     record.picture("simulation", tracking.tracking_figure(title, [track], motion["torque_limit"]))
     if motion["realisation"] != "ideal":
-        record.picture("simulation_friction", tracking.friction_figure([track]))
+        record.picture("simulation_friction", tracking.friction_figure("Friction that rolling without slip needs", [track]))
     record.finish({"simulation": numbers}, robot=believed, plant=plant, gains=gains, settings=chosen.motion)
     print_numbers(numbers)
     print(f"pictures, metrics.json and manifest.json are in {record.folder}")

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 
 import jaxsphere as js
 from experiments.plots.style import STYLES, figure, name_axes
-from jaxsphere.models import planar
+from jaxsphere.robot import total_mass
 from tuning.climbing import Sensitivity
 
 # Beyond the codes of `Status`: fails, and settles with an unlimited motor.
@@ -72,7 +72,7 @@ def static_figure(robots: dict[str, js.Robot]) -> Figure:
     lines = panel.contour(length, mass, bound, [5, 10, 15, 20, 25, 30, 40], colors="white", linewidths=0.8)
     panel.clabel(lines, fmt="%g°", fontsize=8)
     for (name, robot), marker in zip(robots.items(), "osD^v", strict=False):
-        at = robot.pendulum_length / robot.shell_radius, robot.pendulum_mass / planar.total_mass(robot)
+        at = robot.pendulum_length / robot.shell_radius, robot.pendulum_mass / total_mass(robot)
         words = f"{name.replace('_', ' ')}, {np.rad2deg(float(js.climbing_bound(robot))):.1f}°"
         panel.plot(*at, marker, color="white", markeredgecolor="black", markersize=8, label=words)
     fig.colorbar(shading, ax=panel, label="steepest slope held statically, (4) (deg)")

@@ -21,6 +21,10 @@ class Track(NamedTuple):
     reference: np.ndarray
 
 
+# Of the distances that are drawn, cm; the axis ends above it, so that what is smaller leaves the picture.
+_SMALLEST = 1e-4
+
+
 def lived(track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Time, state, torque and error vector of a track up to where its lane ended."""
     time = np.asarray(track.trajectory.time)
@@ -38,11 +42,11 @@ def tracking_figure(title: str, tracks: Sequence[Track], limit: float | None = N
     for track, style in zip(tracks, STYLES, strict=False):
         time, state, torques, error = lived(track)
         path.plot(state[:, 0], state[:, 1], label=track.label, **style)
-        distance.semilogy(time, np.maximum(100.0 * np.hypot(*error.T), 1e-3), label=track.label, **style)
+        distance.semilogy(time, np.maximum(100.0 * np.hypot(*error.T), _SMALLEST), label=track.label, **style)
         lean.plot(time, np.rad2deg(state[:, 3]), label=track.label, **style)
         # "ideal" has five accelerations where the robot has two torques.
         torque.plot(time, torques[:, 0 if torques.shape[1] == 2 else 2], label=track.label, **{**style, "linewidth": 0.9})
-        _mark_end(track, distance, time[-1], max(100.0 * float(np.hypot(*error[-1])), 1e-3), style["color"])
+        _mark_end(track, distance, time[-1], 100.0 * float(np.hypot(*error[-1])), style["color"])
     robot = tracks[0].trajectory.torque.shape[-1] == 2
     if limit is not None and robot:
         torque.axhline(limit, color="0.4", linewidth=0.8)
@@ -50,6 +54,7 @@ def tracking_figure(title: str, tracks: Sequence[Track], limit: float | None = N
     path.plot(*tracks[0].trajectory.state[0, :2], "o", color="0.2", markersize=5)
     path.set_aspect("equal", adjustable="datalim" if zoom is None else "box")
     name_axes(path, "x up-slope (m)", "y (m)", title="path of the centre, dot: start")
+    distance.set_ylim(bottom=10.0 * _SMALLEST)
     name_axes(distance, "time (s)", "distance from the reference (cm)")
     name_axes(torque, "time (s)", "drive torque τ1 (N m)" if robot else "spin acceleration φ'' (rad/s²)", legend=False)
     name_axes(lean, "time (s)", "lean of the spin axis θ (deg)", legend=False)
@@ -81,7 +86,7 @@ def realisations_figure(title: str, tracks: Sequence[Track], until: float) -> Fi
     return fig
 
 
-def friction_figure(tracks: Sequence[Track]) -> Figure:
+def friction_figure(title: str, tracks: Sequence[Track]) -> Figure:
     """Friction coefficient that rolling without slip needs, over time, for tracks with diagnostics."""
     fig, axes = figure(1, 1, (7.0, 3.4))
     panel = axes[0, 0]
@@ -89,7 +94,7 @@ def friction_figure(tracks: Sequence[Track]) -> Figure:
         assert track.trajectory.diagnostics is not None
         needed = np.asarray(track.trajectory.diagnostics.contact.friction_coefficient)
         panel.plot(np.asarray(track.trajectory.time), needed, label=track.label, **{**style, "linewidth": 1.0})
-    name_axes(panel, "time (s)", "friction coefficient needed (1)", title="Is rolling without slip credible?")
+    name_axes(panel, "time (s)", "friction coefficient needed (1)", title=title)
     return fig
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import jaxsphere as js
 from experiments.plots.climbing import Axis
 from jaxsphere.checks import require_choice, require_count, require_scalar
-from jaxsphere.models import planar
+from jaxsphere.robot import total_mass
 from jaxsphere.tasks.simulate import checked
 
 # Time steps that divide a minute, s, and the largest product with a rate (1/s); RK4 is stable up to 2.78.
@@ -47,8 +47,8 @@ def _push(setting: Setting, value: Any) -> Setting:
 def _mass_ratio(setting: Setting, value: Any) -> Setting:
     """Move mass between pendulum and shell, whose moment follows; the total stays."""
     robot = setting.task.robot
-    pendulum = value * planar.total_mass(robot)
-    shell = planar.total_mass(robot) - robot.gimbal_mass - pendulum
+    pendulum = value * total_mass(robot)
+    shell = total_mass(robot) - robot.gimbal_mass - pendulum
     inertia = robot.shell_inertia * (shell / robot.shell_mass)
     return _of_task("robot")(setting, replace(robot, pendulum_mass=pendulum, shell_mass=shell, shell_inertia=inertia))
 

@@ -15,7 +15,7 @@ import jaxsphere as js
 from experiments.plots.climbing import TORQUE_LIMITED, Axis, BoundMap, OutcomeMap
 from experiments.records import progress_bar
 from experiments.studies.climbing_axes import Setting, at
-from jaxsphere.models import planar
+from jaxsphere.robot import total_mass
 from jaxsphere.simulation.closed_loop import where
 from jaxsphere.simulation.search import Pausable
 from jaxsphere.sweep.refine import Boundaries, Guesses
@@ -173,7 +173,7 @@ def _static_bounds(setting: Setting, x: Axis, y: Axis) -> np.ndarray:
     def bound(xv: Any, yv: Any) -> Any:
         here = at(setting, **{x.name: xv, y.name: yv}).task
         limit = jnp.inf if here.torque_limit is None else here.torque_limit
-        weight = planar.total_mass(here.robot) * here.robot.gravity * here.robot.shell_radius
+        weight = total_mass(here.robot) * here.robot.gravity * here.robot.shell_radius
         return jnp.minimum(js.climbing_bound(here.robot), jnp.arcsin(jnp.minimum(limit / weight, 1.0)))
 
     return np.asarray(jax.jit(jax.vmap(jax.vmap(bound, (0, None)), (None, 0)))(x.values, y.values))

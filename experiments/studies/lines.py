@@ -1,6 +1,6 @@
 """Tracking gains along lines of many speeds: scored over 20 s with a 1 kHz hold, chosen on some speeds, judged on others.
 
-Errors over 20 s depend chaotically on the gains, so that one speed says little: the figures are means over speeds and starts.
+The figures are means over speeds and starts.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Scores(NamedTuple):
 
     rms: np.ndarray  # root mean square distance over 20 s, cm
     worst: np.ndarray  # largest distance after 5 s, cm
-    ended: np.ndarray  # whether the lane ended early, e.g. with singular coordinates; its other figures say little
+    ended: np.ndarray  # whether the lane ended early, its other figures say little
 
 
 def search(

@@ -33,11 +33,11 @@ from jax import Array
 
 from jaxsphere.controllers.lean import Pair, balancing_lean
 from jaxsphere.controllers.references import Reference
-from jaxsphere.controllers.spin_axis import ZERO, PathFrame, Posture, axis_target, combine, once, path_frame, yaw_of
+from jaxsphere.controllers.spin_axis import ZERO, PathFrame, Posture, axis_target, once, path_frame, yaw_of
 from jaxsphere.controllers.tracking_gains import TrackingGains
 from jaxsphere.models.spatial import Lumped
 from jaxsphere.numerics import Real
-from jaxsphere.numerics.linear_algebra import Vector3, dot
+from jaxsphere.numerics.linear_algebra import Vector3, combine, dot
 
 # Across the path no faster than this many radians per radian of rolling, but as fast as so many 1/s in any case.
 FASTEST, SLOWEST = 0.8, 0.35

@@ -12,12 +12,11 @@ from dataclasses import replace
 from jax import Array
 
 from jaxsphere.controllers.sliding_mode import SlidingModeGains
+from jaxsphere.models.spatial import CONVENTIONS as CONVENTIONS
 from jaxsphere.models.spatial import Affine, SpatialState, State, frames
 from jaxsphere.numerics import Real, sincos
 from jaxsphere.numerics.linear_algebra import dot, solve_pair
 from jaxsphere.robot import Robot
-
-CONVENTIONS = ("corrected", "printed")
 
 
 def sliding_mode_gains(gains: SlidingModeGains) -> SlidingModeGains:

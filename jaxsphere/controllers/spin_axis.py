@@ -25,7 +25,7 @@ from jax import Array
 from jaxsphere.controllers.references import Pair, Reference
 from jaxsphere.models.spatial import Lumped, State, attitude, dynamics
 from jaxsphere.numerics import Real, evaluate_once
-from jaxsphere.numerics.linear_algebra import Vector3, cross, dot
+from jaxsphere.numerics.linear_algebra import Vector3, combine, cross, dot
 
 # Below this speed (m/s) the path has no direction and the robot's own counts; below this rate (rad/s) a turn of w is ignored.
 _CRAWL, _SLOW_TURNING = 1e-3, 0.7
@@ -149,12 +149,6 @@ def yaw_of(lumped: Lumped, balance: Vector3, error: Vector3, swing: Vector3) -> 
 def upward(lumped: Lumped, vector: Vector3) -> Real:
     """Component of a vector up the vertical, over the cosine of the slope."""
     return vector[0] * lumped.along_slope / lumped.into_slope + vector[2]
-
-
-def combine(*terms: tuple[Real, Vector3]) -> Vector3:
-    """Linear combination of vectors."""
-    x, y, z = (sum(factor * vector[i] for factor, vector in terms) for i in range(3))
-    return x, y, z
 
 
 def once(vector: Vector3) -> Vector3:

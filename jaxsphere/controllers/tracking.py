@@ -221,7 +221,10 @@ def law(
     where no torques give what is asked for, and SINGULAR_JOINTS where the pendulum points along the spin axis.
 
     Args:
-        robot: the robot that the controller believes in. slope: rad. gains: the gains. reference: time -> Reference.
+        robot: the robot that the controller believes in.
+        slope: rad.
+        gains: the gains.
+        reference: time -> Reference.
         realisation: one of REALISATIONS.
     """
     require_choice("realisation", realisation, REALISATIONS)
@@ -248,7 +251,10 @@ def resting_state(robot: Robot, slope: Real, position: Pair = (0.0, 0.0), headin
     """State at rest with the spin axis upright to `heading` and the pendulum at the lean that holds the slope, 12 components.
 
     Args:
-        robot: the robot. slope: rad. position: x, y, m. heading: rad, the direction in which a positive spin rolls.
+        robot: the robot.
+        slope: rad.
+        position: x, y, m.
+        heading: rad, the direction in which a positive spin rolls.
     """
     zero = jnp.zeros_like(jnp.asarray(slope, jnp.result_type(float, slope)))
     right = zero + 0.5 * jnp.pi

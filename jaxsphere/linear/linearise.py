@@ -42,9 +42,11 @@ def linearise(task: Any, gains: Any = None) -> Linearisation:
         A Linearisation.
 
     Raises:
-        ValueError: the reference is not a straight line at constant speed.
+        ValueError: an argument is not admissible, the reference is not a straight line at constant speed, or a planar robot
+            cannot hold its slope.
     """
     gains = task.default_gains() if gains is None else gains
+    task.check(gains)
     state, memory = task.steady_motion()
     return _matrices(task, gains, tuple(state), tuple(memory))
 

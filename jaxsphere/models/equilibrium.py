@@ -15,7 +15,7 @@ from jax import Array
 
 from jaxsphere.models import planar
 from jaxsphere.numerics import Real
-from jaxsphere.robot import Robot
+from jaxsphere.robot import Robot, total_mass
 
 
 class Equilibria(NamedTuple):
@@ -45,7 +45,7 @@ def equilibrium_swing(robot: Robot, slope: Real) -> Array:
 
 def climbing_bound(robot: Robot) -> Array:
     """Steepest slope, rad, that the pendulum can hold statically, Eq. (4); pi/2 where every slope can be held."""
-    sine = robot.pendulum_mass * robot.pendulum_length / (planar.total_mass(robot) * robot.shell_radius)
+    sine = robot.pendulum_mass * robot.pendulum_length / (total_mass(robot) * robot.shell_radius)
     bounded = sine < 1.0
     return jnp.where(bounded, jnp.arcsin(jnp.where(bounded, sine, 0.0)), 0.5 * jnp.pi)
 

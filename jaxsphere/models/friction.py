@@ -11,14 +11,14 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxsphere.numerics import Real
-from jaxsphere.robot import Friction, Robot
+from jaxsphere.robot import Friction, Robot, total_mass
 
 # rad/s; far below the rates of a robot that moves, far above those that a step of 1 ms can change at once.
 WIDTH = 0.05
 
 
 class Losses(NamedTuple):
-    """Constants of friction for one robot on one slope; `loss_of` turns a rate into a torque against it."""
+    """Constants of friction for one robot on one slope; `joint_loss` turns a rate of a joint into the torque against it."""
 
     drive: tuple[Real, Real]  # viscous, N m s, and Coulomb, N m
     tilt: tuple[Real, Real]
@@ -31,7 +31,7 @@ def losses(robot: Robot, slope: Real) -> Losses | None:
     friction: Friction | None = robot.friction
     if friction is None:
         return None
-    weight = (robot.shell_mass + robot.gimbal_mass + robot.pendulum_mass) * robot.gravity * jnp.cos(slope)
+    weight = total_mass(robot) * robot.gravity * jnp.cos(slope)
     return Losses(
         drive=(friction.drive_viscous, friction.drive_coulomb),
         tilt=(friction.tilt_viscous, friction.tilt_coulomb),

@@ -21,7 +21,7 @@ from jax import Array
 
 from jaxsphere.models.friction import Losses, joint_loss, losses, smooth_sign
 from jaxsphere.numerics import Real, sincos
-from jaxsphere.robot import Robot
+from jaxsphere.robot import Robot, total_mass
 
 IS_VELOCITY = (False, True, False, True)
 
@@ -77,11 +77,6 @@ def lump(robot: Robot, slope: Real) -> Lumped:
         cos_slope=cos_slope,
         losses=losses(robot, slope),
     )
-
-
-def total_mass(robot: Robot) -> Real:
-    """Mass of shell, gimbal and pendulum, kg."""
-    return robot.shell_mass + robot.gimbal_mass + robot.pendulum_mass
 
 
 def inertia(lumped: Lumped, state: State) -> tuple[Real, Array, Real]:

@@ -43,6 +43,12 @@ def cross(left: Vector3, right: Vector3) -> Vector3:
     return b * z - c * y, c * x - a * z, a * y - b * x
 
 
+def combine(*terms: tuple[Real, Vector3]) -> Vector3:
+    """Sum of vectors, each times its factor."""
+    x, y, z = (sum(factor * vector[i] for factor, vector in terms) for i in range(3))
+    return x, y, z
+
+
 def solve_pair(matrix: tuple[tuple[Real, Real], tuple[Real, Real]], right: tuple[Real, Real]) -> tuple[Array, Array]:
     """Solve two equations in two unknowns by the formula; the result is not finite where the determinant is zero."""
     (a, b), (c, d) = matrix

@@ -15,6 +15,7 @@ from jax import Array
 from jax.core import Tracer
 from jax.extend.core import get_opaque_trace_state
 
+from jaxsphere.checks import require_count
 from jaxsphere.simulation.closed_loop import where
 from jaxsphere.simulation.search import Pausable
 
@@ -47,8 +48,11 @@ def batch(
         A function of the same arguments with a leading axis of lanes on every leaf.
 
     Raises:
-        ValueError: by that function, when the leading axes differ or there are no lanes.
+        ValueError: `block` is no whole number of at least one; by the returned function, when the leading axes differ or there
+            are no lanes.
     """
+    if block is not None:
+        require_count("block", block)
     run = blocks(function, block, ragged=ragged, capacity=capacity)
 
     def call(*arguments: Any) -> Any:
@@ -169,7 +173,12 @@ def _work_through(make: Callable[..., Pausable], slots: int, arguments: tuple[An
     slots = min(slots, lanes)
 
     def begin(lane: tuple[Any, ...]) -> Any:
-        return make(*lane).first
+        computation = make(*lane)
+        if not isinstance(computation, Pausable):
+            raise TypeError(
+                "the function of a ragged batch returns no Pausable; leave ragged out, or type e.g. jaxsphere.slope_search"
+            )
+        return computation.first
 
     def proceed(lane: tuple[Any, ...], carry: Any) -> tuple[Any, Array, Any]:
         computation = make(*lane)

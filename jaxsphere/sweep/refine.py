@@ -6,7 +6,7 @@ is sent what was found there (n,). It returns the outcomes of the whole grid whe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,8 +14,6 @@ import numpy as np
 
 from jaxsphere.checks import require_count
 
-# (rows (n,), columns (n,)) -> outcomes (n,), whole numbers
-Evaluate = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Plan = Generator[tuple[np.ndarray, np.ndarray, np.ndarray | None], np.ndarray, "Refined | None"]
 
 _UNKNOWN = np.iinfo(np.int32).min
@@ -23,7 +21,11 @@ _UNKNOWN = np.iinfo(np.int32).min
 
 @dataclass(frozen=True)
 class Boundaries:
-    """Compute lanes only where neighbours disagree; see `refine`.
+    """Compute lanes only where neighbours disagree.
+
+    The grid begins as rectangles `coarse` nodes apart. A rectangle that holds two different outcomes, at its corners or at
+    any node of its edges that a neighbour has asked for, is cut into four, until nothing is left to cut; the inside of the
+    others has the outcome of their corners. An island that fits between the coarse nodes is overlooked.
 
     output: a whole number, whose boundaries are wanted; it is filled in everywhere, the other outputs only where "simulated".
     coarse: nodes between two of the first lines.
@@ -77,36 +79,6 @@ class Refined(NamedTuple):
 
     outcomes: np.ndarray
     simulated: np.ndarray
-
-
-def refine(evaluate: Evaluate, shape: tuple[int, int], coarse: int = 16) -> Refined:
-    """Find the outcome at every node of a grid from simulations near the boundaries between outcomes.
-
-    The grid begins as rectangles `coarse` nodes apart. A rectangle that holds two different outcomes, at its corners or at
-    any node of its edges that a neighbour has asked for, is cut into four, until nothing is left to cut; the inside of the
-    others has the outcome of their corners. An island that fits between the coarse nodes is overlooked.
-
-    Args:
-        evaluate: (rows (n,), columns (n,)) -> outcomes (n,), whole numbers; called once per round with nodes not seen before.
-        shape: rows and columns of the grid.
-        coarse: nodes between two of the first lines.
-
-    Returns:
-        The outcomes, and which of them were simulated.
-
-    Raises:
-        ValueError: `coarse` or a side of the grid is not a whole number of at least one.
-    """
-    require_count("coarse", coarse)
-    for side in shape:
-        require_count("shape", side)
-    plan = _boundaries(shape, coarse)
-    rows, columns, _ = next(plan)
-    while True:
-        try:
-            rows, columns, _ = plan.send(evaluate(rows, columns))
-        except StopIteration as stop:
-            return stop.value
 
 
 def _boundaries(shape: tuple[int, int], coarse: int) -> Plan:

@@ -104,7 +104,11 @@ class PlanarTask:
         return jnp.asarray(self.travel) + self._first_angle()
 
     def steady_motion(self) -> tuple[State, State]:
-        """State of rest at the target, and the law's memory."""
+        """State of rest at the target, and the law's memory. Raises ValueError where there is none or the sign is hard."""
+        require_scalar("smoothing", self.smoothing, above=0.0, unit="rad/s")
+        if is_concrete((self.robot, self.slope)) and np.ndim(self.slope) == 0:
+            with jax.ensure_compile_time_eval():
+                require_holdable(self.robot, self.slope)
         equilibrium = equilibrium_swing(self.robot, self.slope)
         zero = jnp.zeros_like(equilibrium)
         return (self.target() + zero, zero, equilibrium, zero), (zero,)

@@ -92,8 +92,8 @@ def simulate(
         ValueError: an argument is not admissible.
         RolloutError: a single rollout ended early and `throw` is set.
     """
-    gains = task.default_gains() if gains is None else gains
     numerics = checked(task, numerics)
+    gains = task.default_gains() if gains is None else gains
     task.check(gains, float(numerics.duration or 0.0))
     task, gains = cast((task, gains), np.dtype(numerics.dtype))
     if measure is not None:
@@ -114,6 +114,10 @@ def closed_loop_of(task: Any, gains: Any, numerics: Numerics, measure: Measure |
 
 def checked(task: Any, numerics: Numerics) -> Numerics:
     """Return the numerics with the task's own duration where none is given. Raises ValueError for one that does not fit."""
+    if not hasattr(task, "default_duration"):
+        raise TypeError(f"task = {task!r} is no task; type jaxsphere.PlanarTask(...) or jaxsphere.SpatialTask(...)")
+    if not isinstance(numerics, Numerics):
+        raise TypeError(f"numerics = {numerics!r} are no Numerics; type jaxsphere.Numerics(dt=1e-3)")
     duration = task.default_duration() if numerics.duration is None else numerics.duration
     check_time_grid(duration, numerics.dt, numerics.save_every)
     check_control_period(task.control_period, numerics.dt)

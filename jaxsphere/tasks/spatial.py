@@ -74,7 +74,7 @@ def track_line(
 class SpatialTask:
     """Following a reference on the slope with the centre of the sphere; every field but `realisation` is a leaf.
 
-    The robot rests at first on the reference and along it unless `start`, `heading` or `initial_state` say otherwise.
+    The robot rests at first on the reference and along it unless `start_position`, `heading` or `initial_state` say otherwise.
     """
 
     CYCLIC: ClassVar[tuple[int, ...]] = (4,)  # coordinates that nothing depends on: the spin
@@ -116,6 +116,10 @@ class SpatialTask:
             require_scalar("torque_limit", self.torque_limit, above=0.0, unit="N m")
         if self.initial_state is not None:
             require_finite_vector("initial_state", self.initial_state, 12, ", ".join(spatial.SpatialState._fields))
+        if self.start_position is not None:
+            _require_place("start_position", self.start_position)
+        if self.heading is not None:
+            require_scalar("heading", self.heading, unit="rad")
         if self.delayed is not None and self.control_period is None:
             raise ValueError("delayed needs a sampled controller; type control_period=1e-3")
         references.check_reference(self.reference, duration)
@@ -176,6 +180,7 @@ class SpatialTask:
             "torque_limit or a_max",
             Status.DIVERGED: "the robot rolled away; check the gains and the torque limit",
             Status.SINGULAR_DECOUPLING: "no torques give what the law asks for; lower the speed or the gains",
+            Status.SINGULAR_JOINTS: "the pendulum points along the spin axis and the gimbal cannot turn it; lower the demand",
             Status.INFEASIBLE_LEAN: "no swing of the pendulum balances the demand; lower the slope or the demand",
             Status.NONFINITE: "the next state is not finite; lower dt",
         }
@@ -227,6 +232,8 @@ def track(
         ValueError: an argument is not admissible.
         RolloutError: a single rollout failed and `throw` is set.
     """
+    if start is not None:
+        _require_place("start", start)
     task = SpatialTask(
         robot=robot,
         slope=slope,
@@ -245,6 +252,13 @@ def track(
         require_scalar("torque_limit", torque_limit, above=0.0, unit="N m")
     numerics = Numerics(dt, duration, method, save_every, np.dtype(dtype or "float64").name)
     return simulate(task, gains, numerics, diagnostics=diagnostics, throw=throw)
+
+
+def _require_place(name: str, value: Any) -> None:
+    if not hasattr(value, "__len__") or len(value) != 2:
+        raise ValueError(f"{name} = {value!r} is no place on the slope; type two numbers in m: x, y")
+    for axis, number in zip("xy", value, strict=True):
+        require_scalar(f"{name}, {axis}", number, unit="m")
 
 
 def spatial_plant(robot: Robot, slope: Array) -> Plant:

@@ -23,8 +23,6 @@ AGGREGATES = ("mean", "cvar", "worst")
 
 Scenarios = js.PlanarTask | js.SpatialTask  # whose drawn fields have a leading axis
 
-_DRAWN = {js.PlanarTask: ("initial_state", "sensor_bias"), js.SpatialTask: ()}
-
 
 @dataclass(frozen=True)
 class Uncertainty:
@@ -86,13 +84,13 @@ def sample(
 
 def drawn_fields(task: Scenarios) -> tuple[str, ...]:
     """Return the names of the fields of a task that `sample` draws."""
-    return ("robot", "plant", "slope", "delayed", *_DRAWN[type(task)])
+    planar = ("initial_state", "sensor_bias") if isinstance(task, js.PlanarTask) else ()
+    return ("robot", "plant", "slope", "delayed", *planar)
 
 
 def _check(uncertainty: Uncertainty, task: Scenarios) -> None:
-    known = js.Robot.__dataclass_fields__
     for name, width in uncertainty.relative.items():
-        require_choice("relative", name, tuple(known))
+        require_choice("relative", name, tuple(name for name in js.Robot.__dataclass_fields__ if name != "friction"))
         require_scalar(f"relative[{name!r}]", width, above=0.0, below=1.0, or_equal=True)
     low, high = uncertainty.slope
     if not low <= high:

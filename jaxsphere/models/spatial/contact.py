@@ -16,6 +16,7 @@ from jaxsphere.models.spatial import attitude, dynamics
 from jaxsphere.models.spatial.frames import State
 from jaxsphere.models.spatial.lumped import lump
 from jaxsphere.numerics import Real, safe_sqrt
+from jaxsphere.numerics.linear_algebra import combine
 from jaxsphere.robot import Robot
 
 
@@ -57,6 +58,6 @@ def _contact_force(robot: Robot, slope: Real, state: State, torque: Sequence[Arr
     centre = (1.0, dynamics.rolled(lumped, axes, accelerations)), (1.0, dynamics.centre_drift(lumped, now, axes.normal))
     bob = dynamics.bob_acceleration(lumped, now, accelerations)
     mass = lumped.central_mass + lumped.pendulum_mass
-    force = attitude.to_slope(axes, dynamics.add((mass, dynamics.add(*centre)), (lumped.pendulum_mass, bob)))
+    force = attitude.to_slope(axes, combine((mass, combine(*centre)), (lumped.pendulum_mass, bob)))
     x, y, z = (jnp.asarray(part) for part in force)
     return x + mass * lumped.along_slope, y, z + mass * lumped.into_slope

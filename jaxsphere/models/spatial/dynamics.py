@@ -36,7 +36,7 @@ from jaxsphere.models.spatial.attitude import Axes, GimbalState
 from jaxsphere.models.spatial.frames import State
 from jaxsphere.models.spatial.lumped import Lumped
 from jaxsphere.numerics import Real, evaluate_once, sincos
-from jaxsphere.numerics.linear_algebra import Vector3, cross, dot, solve_positive_definite
+from jaxsphere.numerics.linear_algebra import Vector3, combine, cross, dot, solve_positive_definite
 
 # What drive and tilt torque do on u.
 INPUT_COLUMNS = (0.0, 0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 0.0, 1.0)
@@ -95,7 +95,7 @@ def friction_torques(terms: Losses, now: GimbalState, axes: Axes) -> tuple[Real,
     """Torques against the speeds u that friction makes, N m: spinning and rolling on the shell, and both joints."""
     turning = attitude.shell_turning_of(now)
     spin = dot(axes.normal, turning)
-    level = add((1.0, turning), (-spin, axes.normal))
+    level = combine((1.0, turning), (-spin, axes.normal))
     spinning, square = terms.spinning * smooth_sign(spin), dot(level, level)
     rolling = [terms.rolling * smooth_sign(part, square) for part in level]
     x, y, z = (a + spinning * b for a, b in zip(rolling, axes.normal, strict=True))
@@ -185,13 +185,7 @@ def bob_acceleration(lumped: Lumped, now: GimbalState, accelerations: Sequence[R
     x, y, z = pendulum_turning(direction, now[8:])
     _, y_rate, z_rate = pendulum_turning(direction, accelerations)
     fall = (-y * y - z * z, z_rate + (now.pendulum_rate + y) * x, x * z - y_rate)
-    return add((lumped.length, _out_of_pendulum(direction, fall)))
-
-
-def add(*terms: tuple[Real, Vector3]) -> Vector3:
-    """Sum of vectors, each times its factor."""
-    x, y, z = (sum(factor * vector[i] for factor, vector in terms) for i in range(3))
-    return x, y, z
+    return combine((lumped.length, _out_of_pendulum(direction, fall)))
 
 
 def affine(lumped: Lumped, state: State) -> Affine:
