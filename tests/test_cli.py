@@ -1,6 +1,7 @@
 """The command line as a user meets it: what it writes, and one sentence with exit code 2 for what it cannot do."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -266,3 +267,10 @@ def test_reproduce_fig4_gives_the_reference_numbers(capsys, tmp_path):
         assert mismatch["tuned"][f"pendulum_mass_x{factor}"]["final_error_rad"] == pytest.approx(offset, rel=0.15)
         assert mismatch["tuned_with_k_i"][f"pendulum_mass_x{factor}"]["status"] == "ok"
         assert abs(mismatch["tuned_with_k_i"][f"pendulum_mass_x{factor}"]["final_error_rad"]) < 0.01
+
+
+def test_a_run_too_short_for_late_errors_shows_none(capsys, tmp_path):
+    code, out, err = run(capsys, "simulate", "spatial", "--duration", "0.2", "--dt", "1e-2", "--out", str(tmp_path))
+    assert code == 0, err
+    assert re.search(r"largest_error_after_5_s_cm +-\n", out)
+    assert json.loads((tmp_path / "metrics.json").read_text())["simulation"]["largest_error_after_5_s_cm"] is None

@@ -52,7 +52,7 @@ def shown_rates(plant: Plant, state: State, torque: State) -> State:
 class Measure(NamedTuple):
     """A running metric: update(value, time, state, torque, dt) at every step, finish(value) once at the end.
 
-    state: the components that are integrated; of the spatial robot those of `models.spatial.attitude`, not the paper's.
+    state: the components that are integrated, those of `Plant.into` where the plant has it.
     """
 
     initial: Any
